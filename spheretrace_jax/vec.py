@@ -1,0 +1,82 @@
+"""`Vec`: three planes that read like one vector.
+
+Speed wants x, y and z apart, each a plane with the pixels last, so that every operation is one
+vectorised loop; readers want vectors. `Vec` gives both. Colours are `Vec`s too: x, y, z hold red,
+green, blue.
+"""
+
+from typing import Union
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._types import Mask, Plane
+
+
+class Vec(eqx.Module):
+    """A vector per pixel: planes `x`, `y`, `z` of one shape `(*pixels,)`, or scalars."""
+
+    x: Plane
+    y: Plane
+    z: Plane
+
+    def __add__(self, other: "Vec") -> "Vec":
+        return Vec(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: "Vec") -> "Vec":
+        return Vec(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __neg__(self) -> "Vec":
+        return Vec(-self.x, -self.y, -self.z)
+
+    def __mul__(self, other: Union["Vec", Plane]) -> "Vec":
+        """Scales by a plane; a product with another `Vec` is per component, as colours multiply."""
+        if isinstance(other, Vec):
+            return Vec(self.x * other.x, self.y * other.y, self.z * other.z)
+        return Vec(self.x * other, self.y * other, self.z * other)
+
+    def __rmul__(self, other: Plane) -> "Vec":
+        return self * other
+
+
+def vec(row: Float[Array, " 3"]) -> Vec:
+    """The `Vec` of scalars of one row of an `(n, 3)` array."""
+    return Vec(row[0], row[1], row[2])
+
+
+def dot(a: Vec, b: Vec) -> Plane:
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def cross(a: Vec, b: Vec) -> Vec:
+    return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+def norm(a: Vec) -> Plane:
+    """The length of `a`. At the zero vector it is 0 and so is its derivative, not NaN."""
+    return safe_sqrt(dot(a, a))
+
+
+def unit(a: Vec) -> Vec:
+    """`a / |a|`; the zero vector stays zero, with derivative 0."""
+    square = dot(a, a)
+    some = square > 0
+    # sqrt(1/x) compiles to vector code on the CPU where 1/sqrt(x) does not: 0.8 against 3.3 ms
+    # for a million pixels
+    return a * jnp.where(some, jnp.sqrt(1 / jnp.where(some, square, 1)), 0)
+
+
+def safe_sqrt(square: Plane) -> Plane:
+    """`sqrt(max(square, 0))`, with derivative 0 where `square <= 0`."""
+    some = square > 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
+
+
+def where(mask: Mask, a: Vec, b: Vec) -> Vec:
+    return Vec(jnp.where(mask, a.x, b.x), jnp.where(mask, a.y, b.y), jnp.where(mask, a.z, b.z))
+
+
+def reflect(direction: Vec, normal: Vec) -> Vec:
+    """`direction` mirrored in a surface: D - 2 (D.N) N."""
+    return direction - normal * (2 * dot(direction, normal))

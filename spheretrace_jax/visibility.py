@@ -1,0 +1,135 @@
+"""The discrete half of a picture: which object a ray meets, which lights a point sees.
+
+Integers and booleans only: nothing here has a derivative, and everything runs under
+`stop_gradient`. No epsilon: a ray that leaves a sphere never meets it from outside again (spheres
+are convex) and skips it by its number.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from ._types import Ids, Mask, Plane
+from .camera import Ray
+from .intersect import ray_plane, ray_sphere
+from .needs import Needs
+from .phases import fetch, materialise, over, smallest_int
+from .vec import Vec, cross, dot
+from .world import Hit, World
+
+
+def _row(table, i):
+    """One object's row of a table, as scalars."""
+    return jax.tree.map(lambda column: column[i], table)
+
+
+def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) -> Hit:
+    """The nearest object in front of each ray's origin.
+
+    **Arguments:** `leaving`: the hit that the rays start from, None for rays from the eye. Rays
+    that leave the object outwards, or go straight on through it, skip it; rays that were mirrored
+    on the inside of a sphere may meet that sphere again, from inside.
+
+    **Returns:** per pixel the number of the object, -1 for none. Of objects equally near, the
+    first.
+    """
+    world, ray, leaving = jax.lax.stop_gradient((world, ray, leaving))
+    dtype, shape = ray.direction.x.dtype, ray.direction.x.shape
+
+    def sphere(i, best):
+        ball = _row(world.balls, i)
+        near, far = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
+        skip = None if leaving is None else leaving.id == i
+        if not needs.inside:
+            return _nearer(best, near, i, skip)
+        t = jnp.where(near > 0, near, far)
+        if skip is not None:
+            t = jnp.where(skip & leaving.inside, far, t)
+            skip = skip & ~leaving.inside
+        return _nearer(best, t, i, skip)
+
+    def plane(i, best):
+        flat = _row(world.flats, i)
+        t = ray_plane(ray.origin, ray.direction, flat.point, flat.normal)
+        number = i + world.spheres
+        return _nearer(best, t, number, None if leaving is None else leaving.id == number)
+
+    def phase():
+        best = jnp.full(shape, jnp.inf, dtype), jnp.full(shape, -1, jnp.int32)
+        best = over(world.spheres, sphere, best)
+        if needs.planes:
+            best = over(world.planes, plane, best)
+        return best[1].astype(smallest_int(world.spheres + world.planes))
+
+    number = materialise(phase, world.window)
+    if not needs.inside:
+        return Hit(number, None)
+    return Hit(number, materialise(lambda: _from_inside(world, ray, number, leaving), world.window))
+
+
+def _nearer(best: tuple[Plane, Ids], t: Plane, number, skip: Mask | None) -> tuple[Plane, Ids]:
+    closer = (t < best[0]) & (t > 0)
+    if skip is not None:
+        closer = closer & ~skip
+    return jnp.where(closer, t, best[0]), jnp.where(closer, number, best[1])
+
+
+def _from_inside(world: World, ray: Ray, number: Ids, leaving: Hit | None) -> Mask:
+    """Whether the sphere that a ray meets is met from inside: its near root lies behind."""
+    if not world.spheres:
+        return jnp.full(number.shape, False)
+    ball = fetch(world.balls, jnp.clip(number, 0, world.spheres - 1))
+    near, _ = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
+    inside = ~(near > 0)
+    if leaving is not None:
+        inside = inside | (leaving.id == number) & leaving.inside
+    return inside & (number >= 0) & (number < world.spheres)
+
+
+def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> Mask:
+    """Whether the open segment from each point to the light meets no object.
+
+    An occluder beyond the light casts no shadow. Points on the outside of a sphere are not
+    shadowed by it here (where N.L <= 0 they are unlit anyway); on its inside they are if the light
+    is outside.
+
+    **Arguments:** `point`: surface points, with `hit` the objects they lie on. `light`: the
+    light's position, a `Vec` of scalars.
+    """
+    world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
+    to_light = light - point
+    square = dot(to_light, to_light)
+
+    def behind_sphere(i, blocked):
+        ball = _row(world.balls, i)
+        to_center = ball.center - point
+        # The cross product needs no division and no root, either of which would split the loop
+        # into several kernels: |PC x PL|^2 = |PC|^2 |PL|^2 sin^2.
+        off = cross(to_center, to_light)
+        square_radius = ball.radius * ball.radius
+        close = dot(off, off) < square_radius * square
+        along = dot(to_center, to_light)
+        from_light = light - ball.center
+        light_inside = dot(from_light, from_light) < square_radius
+        between = (along > 0) & (along < square)
+        if not needs.inside:
+            return blocked | close & (between | light_inside) & (hit.id != i)
+        own = hit.id == i
+        inside = jnp.where(own, hit.inside, dot(to_center, to_center) < square_radius)
+        crossed = jnp.where(
+            inside | light_inside, inside != light_inside, close & between & ~own
+        )
+        return blocked | crossed
+
+    def behind_plane(i, blocked):
+        flat = _row(world.flats, i)
+        sides = dot(point - flat.point, flat.normal) * dot(light - flat.point, flat.normal)
+        return blocked | (sides < 0) & (hit.id != i + world.spheres)
+
+    def phase():
+        blocked = jnp.full(square.shape, False)
+        blocked = over(world.spheres, behind_sphere, blocked)
+        if needs.planes:
+            blocked = over(world.planes, behind_plane, blocked)
+        return ~blocked
+
+    return materialise(phase, world.window)

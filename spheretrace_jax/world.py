@@ -1,0 +1,166 @@
+"""`World`: a scene laid out for tracing. Objects are numbered: spheres first, then planes.
+
+The back plane is a plane like the others here, derived from the camera.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._types import Ids, Mask, Plane, Scalar
+from .camera import Ray, view_frame
+from .intersect import perpendicular
+from .needs import Needs
+from .phases import fetch
+from .scene import Scene
+from .vec import Vec, dot, safe_sqrt, unit, vec, where
+
+
+class Ball(eqx.Module):
+    """Where a sphere is. Arrays of shape `(n,)`, or planes once fetched per pixel."""
+
+    center: Vec
+    radius: Plane
+
+
+class Flat(eqx.Module):
+    """Where a plane is; `normal` of unit length. Arrays of shape `(p,)`, or planes."""
+
+    point: Vec
+    normal: Vec
+
+
+class Checker(eqx.Module):
+    """The other colour of a plane's squares and their side, 0 for none."""
+
+    color: Vec
+    size: Plane
+
+
+class Material(eqx.Module):
+    """What an object is made of, in the lecture's letters. Arrays `(objects,)`, or planes."""
+
+    color: Vec
+    ka: Plane
+    kd: Plane
+    ks: Plane
+    exponent: Plane
+    kgr: Plane
+    kt: Plane
+
+
+class Hit(eqx.Module):
+    """The discrete half of what a ray meets; it has no derivative."""
+
+    id: Ids  #: which object, -1 for none
+    inside: Mask | None  #: whether it is a sphere seen from inside; None where that cannot be
+
+
+class Surface(eqx.Module):
+    """The smooth half of what a ray meets: differentiable in the scene."""
+
+    point: Vec  #: P
+    normal: Vec  #: N, of unit length, turned to the viewer
+    facing: Plane  #: N.V, at least 0
+
+
+class World(eqx.Module):
+    """The scene's objects in tables of one row per object, as `Vec`s of arrays."""
+
+    balls: Ball
+    flats: Flat
+    materials: Material
+    checkers: Checker
+    window: Scalar
+
+    @property
+    def spheres(self) -> int:
+        return self.balls.radius.shape[0]
+
+    @property
+    def planes(self) -> int:
+        return self.flats.point.x.shape[0]
+
+
+def _columns(array: Float[Array, "rows 3"]) -> Vec:
+    return Vec(array[:, 0], array[:, 1], array[:, 2])
+
+
+def build_world(scene: Scene) -> World:
+    """Lays out a scene for tracing."""
+    s, p, back = scene.spheres, scene.planes, scene.back_plane
+    point, normal = _columns(p.point), unit(_columns(p.normal))
+    plane_rows = [p.color, p.ka, p.kd, p.ks, p.exponent, p.kgr]
+    checker_rows = [p.checker_color, p.checker_size]
+
+    def append(rows: list, more: list) -> list:
+        return [jnp.concatenate([a, jnp.asarray(b, a.dtype)[None]]) for a, b in zip(rows, more, strict=True)]
+
+    if back is not None:
+        frame = view_frame(scene.camera)
+        middle = frame.eye + frame.forward * scene.camera.distance
+        lengthen = lambda a, b: jnp.concatenate([a, b[None]])
+        point, normal = (
+            jax.tree.map(lengthen, a, b) for a, b in ((point, middle), (normal, -frame.forward))
+        )
+        plane_rows = append(plane_rows, [back.color, back.ka, back.kd, 0, 0, 0])
+        checker_rows = append(checker_rows, [jnp.zeros_like(back.color), 0])
+    sphere_rows = [s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr]
+    color, *rest = (
+        jnp.concatenate([a, b]) for a, b in zip(sphere_rows, plane_rows, strict=True)
+    )
+    kt = jnp.concatenate([s.kt, jnp.zeros_like(plane_rows[1])])
+    return World(
+        balls=Ball(_columns(s.center), s.radius),
+        flats=Flat(point, normal),
+        materials=Material(_columns(color), *rest, kt),
+        checkers=Checker(_columns(checker_rows[0]), checker_rows[1]),
+        window=scene.camera.window,
+    )
+
+
+def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
+    """The point and normal at which rays meet the objects they are known to hit.
+
+    With q the perpendicular from the ray to the centre and h half the chord, the hit point seen
+    from the centre is w = -q - h D (from inside -q + h D): no root near zero is ever subtracted,
+    so N = w/R is exact for the smallest and the largest sphere. It follows that N.V = h/R.
+
+    **Returns:** a `Surface`; where a ray hits nothing its numbers are finite but mean nothing.
+    """
+    if not world.spheres:
+        return _on_plane(world, ray, hit)
+    ball = fetch(world.balls, _clip(hit.id, world.spheres))
+    _, q = perpendicular(ray.origin, ray.direction, ball.center)
+    half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
+    facing = half_chord / ball.radius
+    if hit.inside is None:
+        w = -q - ray.direction * half_chord
+        normal = w * (1 / ball.radius)
+    else:
+        w = -q - ray.direction * jnp.where(hit.inside, -half_chord, half_chord)
+        normal = w * jnp.where(hit.inside, -1 / ball.radius, 1 / ball.radius)
+    on_sphere = Surface(ball.center + w, normal, facing)
+    if not needs.planes:
+        return on_sphere
+    on_plane = _on_plane(world, ray, hit)
+    is_plane = hit.id >= world.spheres
+    return Surface(
+        where(is_plane, on_plane.point, on_sphere.point),
+        where(is_plane, on_plane.normal, on_sphere.normal),
+        jnp.where(is_plane, on_plane.facing, on_sphere.facing),
+    )
+
+
+def _on_plane(world: World, ray: Ray, hit: Hit) -> Surface:
+    flat = fetch(world.flats, _clip(hit.id - world.spheres, world.planes))
+    slope = dot(ray.direction, flat.normal)
+    crosses = (slope != 0) & (hit.id >= world.spheres)
+    t = dot(flat.point - ray.origin, flat.normal) / jnp.where(crosses, slope, 1)
+    point = ray.origin + ray.direction * jnp.where(crosses, t, 0)
+    return Surface(point, flat.normal * jnp.where(slope > 0, -1, 1).astype(slope.dtype), jnp.abs(slope))
+
+
+def _clip(ids: Ids, count: int) -> Ids:
+    return jnp.clip(ids, 0, count - 1)
