@@ -1,5 +1,13 @@
 """A differentiable ray caster for worlds of spheres, on JAX."""
 
+from .errors import (
+    InputError as InputError,
+    PictureError as PictureError,
+    SceneError as SceneError,
+    SceneWarning as SceneWarning,
+)
+from .files.images import read_image as read_image, write_image as write_image
+from .files.scene_text import load_scene as load_scene, save_scene as save_scene
 from .needs import Needs as Needs, needs as needs
 from .render import render as render
 from .scene import (

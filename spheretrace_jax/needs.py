@@ -70,7 +70,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
     kgr, kt = some("kgr"), some("kt")
     objects = len(spheres) + len(planes) + (scene.back_plane is not None)
     moving = free & {"center", "radius", "theta", "phi", "mu"}
-    inside = bool(kt.any() or len(spheres) and (moving or _eye_is_inside(scene)))
+    inside = bool(kt.any() or (len(spheres) and (moving or _eye_is_inside(scene))))
     return Needs(
         shadows=len(scene.lights) > 0 and (objects > 1 or inside),
         highlights=len(scene.lights) > 0 and bool(some("ks").any()),
@@ -91,7 +91,9 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
 
 def _eye_is_inside(scene: Scene) -> bool:
     """Whether the eye is inside a sphere or on it, or so near that rounding may decide."""
-    theta, phi, mu = (np.float64(x) for x in (scene.camera.theta, scene.camera.phi, scene.camera.mu))
+    theta, phi, mu = (
+        np.float64(x) for x in (scene.camera.theta, scene.camera.phi, scene.camera.mu)
+    )
     eye = mu * np.array([np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), np.cos(phi)])
     center = np.asarray(scene.spheres.center, np.float64)
     radius = np.asarray(scene.spheres.radius, np.float64)
@@ -106,7 +108,10 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
     lights = len(scene.lights)
     nothing_between = f"{objects} object{'' if objects == 1 else 's'}: nothing can stand between"
     table = {
-        "shadows": (f"{objects} objects, {lights} lights", nothing_between if lights else "no lights"),
+        "shadows": (
+            f"{objects} objects, {lights} lights",
+            nothing_between if lights else "no lights",
+        ),
         "highlights": ("some ks > 0", "every ks is 0" if lights else "no lights"),
         "inside": ("the eye is in a sphere, or light passes one", "no ray starts inside a sphere"),
         "reflection": ("some kgr > 0", "every kgr is 0"),

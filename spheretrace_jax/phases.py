@@ -42,7 +42,9 @@ def materialise(phase: Callable[[], T], witness: Scalar) -> T:
     return lax.cond(witness > -1, phase, lambda: zeros)
 
 
-def materialise_pair(phase: Callable[[], tuple[Plane, Plane]], witness: Scalar) -> tuple[Plane, Plane]:
+def materialise_pair(
+    phase: Callable[[], tuple[Plane, Plane]], witness: Scalar
+) -> tuple[Plane, Plane]:
     """`materialise` for two planes, packed as one complex plane.
 
     Each output of a phase is computed by a loop of its own: packed, two cost what one costs (7.95

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ._types import Highlight, Ids, Mask, Picture, Plane
+from ._types import Highlight, Mask, Picture, Plane
 from .camera import Ray, pixel_rays
-from .needs import ANTIALIAS_SAMPLES, Needs
-from .needs import needs as needs_of
+from .needs import ANTIALIAS_SAMPLES, Needs, needs as needs_of
 from .phases import STRIP_PIXELS, UNROLL, fetch, materialise_pair
 from .scene import Scene
 from .shading import HIGHLIGHTS, light_terms

@@ -81,9 +81,13 @@ class Spheres(eqx.Module):
         for name in ("radius", "ka", "kd", "ks", "exponent", "kgr", "kt"):
             if getattr(self, name).shape != (n,):
                 shape = getattr(self, name).shape
-                raise ValueError(f"{name} must have shape ({n},) as there are {n} spheres, got {shape}")
+                raise ValueError(
+                    f"{name} must have shape ({n},) as there are {n} spheres, got {shape}"
+                )
         if len(self.pic) != n:
-            raise ValueError(f"pic must name a texture for each of {n} spheres, got {len(self.pic)}")
+            raise ValueError(
+                f"pic must name a texture for each of {n} spheres, got {len(self.pic)}"
+            )
 
     def __len__(self) -> int:
         return self.center.shape[0]
@@ -95,7 +99,9 @@ class Lights(eqx.Module):
     position: Float[Array, "m 3"]  #: world coordinates; differentiable, moves shadow edges
     color: Float[Array, "m 3"]  #: white is 1, 1, 1; differentiable
 
-    def __init__(self, position: ArrayLike | Sequence, color: ArrayLike | Sequence = (1.0, 1.0, 1.0)):
+    def __init__(
+        self, position: ArrayLike | Sequence, color: ArrayLike | Sequence = (1.0, 1.0, 1.0)
+    ):
         position, color = _floats(position, color)
         self.position = position.reshape(-1, 3) if position.size == 0 else position
         m = self.position.shape[0]

@@ -19,7 +19,9 @@ def sphere_uv(direction: Vec) -> tuple[Plane, Plane]:
     axis = (direction.x == 0) & (direction.y == 0)
     azimuth = jnp.arctan2(direction.y, jnp.where(axis, 1, direction.x))
     u = azimuth / (2 * jnp.pi)
-    polar = jnp.arctan2(norm(Vec(direction.x, direction.y, jnp.zeros_like(direction.x))), direction.z)
+    polar = jnp.arctan2(
+        norm(Vec(direction.x, direction.y, jnp.zeros_like(direction.x))), direction.z
+    )
     return jnp.where(u < 0, u + 1, u), polar / jnp.pi
 
 

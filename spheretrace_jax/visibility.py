@@ -115,9 +115,7 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
             return blocked | close & (between | light_inside) & (hit.id != i)
         own = hit.id == i
         inside = jnp.where(own, hit.inside, dot(to_center, to_center) < square_radius)
-        crossed = jnp.where(
-            inside | light_inside, inside != light_inside, close & between & ~own
-        )
+        crossed = jnp.where(inside | light_inside, inside != light_inside, close & between & ~own)
         return blocked | crossed
 
     def behind_plane(i, blocked):

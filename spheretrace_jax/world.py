@@ -14,7 +14,7 @@ from .intersect import perpendicular
 from .needs import Needs
 from .phases import fetch
 from .scene import Scene
-from .vec import Vec, dot, safe_sqrt, unit, vec, where
+from .vec import Vec, dot, safe_sqrt, unit, where
 
 
 class Ball(eqx.Module):
@@ -95,7 +95,10 @@ def build_world(scene: Scene) -> World:
     checker_rows = [p.checker_color, p.checker_size]
 
     def append(rows: list, more: list) -> list:
-        return [jnp.concatenate([a, jnp.asarray(b, a.dtype)[None]]) for a, b in zip(rows, more, strict=True)]
+        return [
+            jnp.concatenate([a, jnp.asarray(b, a.dtype)[None]])
+            for a, b in zip(rows, more, strict=True)
+        ]
 
     if back is not None:
         frame = view_frame(scene.camera)
@@ -107,9 +110,7 @@ def build_world(scene: Scene) -> World:
         plane_rows = append(plane_rows, [back.color, back.ka, back.kd, 0, 0, 0])
         checker_rows = append(checker_rows, [jnp.zeros_like(back.color), 0])
     sphere_rows = [s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr]
-    color, *rest = (
-        jnp.concatenate([a, b]) for a, b in zip(sphere_rows, plane_rows, strict=True)
-    )
+    color, *rest = (jnp.concatenate([a, b]) for a, b in zip(sphere_rows, plane_rows, strict=True))
     kt = jnp.concatenate([s.kt, jnp.zeros_like(plane_rows[1])])
     return World(
         balls=Ball(_columns(s.center), s.radius),
@@ -159,7 +160,9 @@ def _on_plane(world: World, ray: Ray, hit: Hit) -> Surface:
     crosses = (slope != 0) & (hit.id >= world.spheres)
     t = dot(flat.point - ray.origin, flat.normal) / jnp.where(crosses, slope, 1)
     point = ray.origin + ray.direction * jnp.where(crosses, t, 0)
-    return Surface(point, flat.normal * jnp.where(slope > 0, -1, 1).astype(slope.dtype), jnp.abs(slope))
+    return Surface(
+        point, flat.normal * jnp.where(slope > 0, -1, 1).astype(slope.dtype), jnp.abs(slope)
+    )
 
 
 def _clip(ids: Ids, count: int) -> Ids:

@@ -1,0 +1,17 @@
+"""Errors that a user can cause: one line that says what is wrong, where, and what was expected."""
+
+
+class InputError(ValueError):
+    """Something that the user gave cannot be used. The command line exits with status 2."""
+
+
+class SceneError(InputError):
+    """A scene file that cannot be read or a scene that cannot be written."""
+
+
+class PictureError(InputError):
+    """A picture that cannot be read, written or used."""
+
+
+class SceneWarning(UserWarning):
+    """A scene file that can be read but breaks a rule of the lecture."""

@@ -1,0 +1,1 @@
+"""Files, on the host: scene text, pictures, and export to other renderers."""

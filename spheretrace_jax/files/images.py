@@ -1,0 +1,176 @@
+"""Pictures read and written through OpenImageIO, on the host.
+
+Inside the program a picture is linear Rec. 709 RGB. Files are converted by OpenImageIO's own
+colour configuration: EXR and HDR hold linear numbers, other formats sRGB-coded ones, unless the
+caller says otherwise.
+"""
+
+import os
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..errors import PictureError
+from .atomic import replacing
+
+Colorspace = Literal["auto", "linear", "srgb"]
+
+_LINEAR, _SRGB = "lin_rec709_scene", "srgb_rec709_scene"
+_FLOATING = (".exr", ".hdr")
+_WRITABLE = (".exr", ".hdr", ".png", ".ppm", ".tif", ".tiff", ".jpg", ".jpeg")
+_WRITING = {
+    ".exr": {"compression": "zip"},
+    ".jpg": {"compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
+    ".jpeg": {"compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
+    ".ppm": {"pnm:pfmflip": 0},  # OpenImageIO 3.2 would write integer PPM upside down as well
+}
+
+#: Larger pictures are refused before any memory is taken: a header may promise anything.
+MOST_PIXELS = 1 << 28
+
+
+def _is_linear(path: Path, colorspace: Colorspace) -> bool:
+    return colorspace == "linear" or (colorspace == "auto" and path.suffix.lower() in _FLOATING)
+
+
+def read_image(
+    path: str | os.PathLike, colorspace: Colorspace = "auto"
+) -> Float[np.ndarray, "height width 3"]:
+    """Reads a picture as linear RGB in float32, row 0 at the top.
+
+    A picture of one channel is grey. Alpha means over black: colours are multiplied by it.
+
+    **Arguments:** `colorspace`: how the file's numbers are coded: `"linear"`, `"srgb"`, or
+    `"auto"` for linear in EXR and HDR files and sRGB in all others.
+
+    **Raises:** `PictureError` if there is no such file or it cannot be read as a picture.
+    """
+    import OpenImageIO as oiio
+
+    path = Path(path)
+    if not path.is_file():
+        raise PictureError(f"{path}: there is no such picture")
+    hint = oiio.ImageSpec()
+    hint.attribute("oiio:UnassociatedAlpha", 1)  # colour is decoded first, alpha multiplied after
+    source = oiio.ImageInput.open(str(path), hint)
+    if source is None:
+        raise PictureError(f"{path}: cannot be read as a picture: {_first_line(oiio.geterror())}")
+    try:
+        spec = source.spec()
+        if (
+            spec.width < 1
+            or spec.height < 1
+            or spec.width * spec.height > MOST_PIXELS
+            or spec.depth > 1
+        ):
+            size = f"{spec.width} x {spec.height} x {spec.depth}"
+            raise PictureError(
+                f"{path}: expected a picture of at most {MOST_PIXELS} pixels, got {size}"
+            )
+        pixels = source.read_image(oiio.FLOAT)
+        if pixels is None:
+            raise PictureError(
+                f"{path}: cannot be read as a picture: {_first_line(source.geterror())}"
+            )
+    finally:
+        source.close()
+    pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, spec.nchannels)
+    premultiplied = spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
+    alpha = pixels[..., spec.alpha_channel, None] if spec.alpha_channel >= 0 else None
+    if spec.nchannels < 3:
+        color = np.repeat(pixels[..., :1], 3, axis=-1)
+    else:
+        color = np.ascontiguousarray(pixels[..., :3])
+    if not _is_linear(path, colorspace):
+        color = _convert(color, _SRGB, _LINEAR)
+    return color if alpha is None or premultiplied else color * alpha
+
+
+def write_image(
+    path: str | os.PathLike,
+    image: Float[np.ndarray, "height width 3"],
+    *,
+    colorspace: Colorspace = "auto",
+    bits: int | None = None,
+    scene: str | None = None,
+) -> None:
+    """Writes linear RGB as EXR, HDR, PNG, PPM, TIFF or JPEG, whole or not at all.
+
+    **Arguments:**
+
+    - `image`: linear RGB of shape `(height, width, 3)`, row 0 at the top. Integer formats clip it
+      to 0..1.
+    - `colorspace`: how to code the file's numbers, as for `read_image`.
+    - `bits`: 8 (default) or 16 for PNG, PPM and TIFF; TIFF and EXR also 32, floating, which is the
+      default for EXR.
+    - `scene`: the text of a scene file to keep in the picture's metadata, beside the program's
+      version and the colour space.
+
+    **Raises:** `PictureError` for formats, bits and shapes that do not go; `OSError` if the file
+    cannot be written.
+    """
+    import OpenImageIO as oiio
+
+    from .. import __version__
+
+    path, pixels = Path(path), np.asarray(image, np.float32)
+    ending = path.suffix.lower()
+    if ending not in _WRITABLE:
+        raise PictureError(
+            f"{path}: expected a picture file ({', '.join(_WRITABLE)}), got {ending!r}"
+        )
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
+        raise PictureError(
+            f"{path}: expected a picture of shape (height, width, 3), got {pixels.shape}"
+        )
+    linear = _is_linear(path, colorspace)
+    if not linear:
+        pixels = _convert(pixels, _LINEAR, _SRGB)
+    kind = _kind(path, ending, bits)
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, kind)
+    spec.attribute("oiio:ColorSpace", _LINEAR if linear else _SRGB)
+    spec.attribute("Software", f"spheretrace_jax {__version__}")
+    for name, value in _WRITING.get(ending, {}).items():
+        spec.attribute(name, value)
+    if scene is not None:
+        spec.attribute("ImageDescription", scene)
+    with replacing(path) as temporary:
+        sink = oiio.ImageOutput.create(str(temporary))
+        if sink is None or not sink.open(str(temporary), spec):
+            raise PictureError(f"{path}: cannot be written: {_first_line(oiio.geterror())}")
+        if not (sink.write_image(np.ascontiguousarray(pixels)) and sink.close()):
+            raise PictureError(f"{path}: cannot be written: {_first_line(sink.geterror())}")
+
+
+def _kind(path: Path, ending: str, bits: int | None) -> str:
+    """OpenImageIO's name of the number type."""
+    allowed = {
+        ".exr": (32, 16), ".hdr": (32,), ".tif": (8, 16, 32), ".tiff": (8, 16, 32),
+        ".png": (8, 16), ".ppm": (8, 16), ".jpg": (8,), ".jpeg": (8,),
+    }[ending]  # fmt: skip
+    bits = allowed[0] if bits is None else bits
+    if bits not in allowed:
+        raise PictureError(
+            f"{path}: {ending} files have {' or '.join(map(str, allowed))} bits, got {bits}"
+        )
+    if bits == 32:
+        return "float"
+    return "half" if ending == ".exr" else f"uint{bits}"
+
+
+def _convert(pixels: np.ndarray, source: str, target: str) -> np.ndarray:
+    import OpenImageIO as oiio
+
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "float")
+    buffer = oiio.ImageBuf(spec)
+    buffer.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
+    converted = oiio.ImageBufAlgo.colorconvert(buffer, source, target)
+    if converted.has_error:
+        raise PictureError(f"cannot convert colours: {_first_line(converted.geterror())}")
+    return np.asarray(converted.get_pixels(oiio.FLOAT), np.float32)
+
+
+def _first_line(message: str) -> str:
+    return message.strip().splitlines()[0] if message.strip() else "unknown format"

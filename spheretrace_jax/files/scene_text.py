@@ -1,0 +1,308 @@
+"""The lecture's scene file, read and written.
+
+The grammar, with `//` comments to the end of the line and any white space between words:
+
+    theta phi mu distance                 view: radians and world units, mu >= 0, distance > 0
+    antialias                             0 or 1
+    numlights                             then as many lines:
+      Lx Ly Lz [LR LG LB]                   a light's position and colour, white by default
+    numspheres                            then as many lines:
+      cx cy cz radius R G B ka kd ks specExp kgr kt pic
+
+and, in any order, lines that start with a keyword:
+
+    texture FILE                          a picture; `pic` 1, 2, ... name them in their order
+    background R G B                      the colour that rays see that leave the world
+    background_image FILE                 a picture all around in its place: the starry sky
+    back_plane R G B ka kd                the view plane made visible
+    plane px py pz nx ny nz R G B ka kd ks specExp kgr [checker R G B size]
+                                          a plane through p with normal n, any number of them
+    window HEIGHT                         of the window on the view plane, 512 by default
+
+Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp >= 0, radius,
+HEIGHT and size > 0, the normal not 0. FILE is relative to the scene file; one with spaces stands
+in double quotes. Every lecture file is valid: the first six numbers may stand on one line or many,
+lights and spheres have a line each.
+"""
+
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..errors import InputError, PictureError, SceneError, SceneWarning
+from ..scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture
+from .atomic import write_text
+from .tokens import Token, Tokens, decode
+
+_COLOR = ("R", "G", "B")
+_POSITION = ("Lx", "Ly", "Lz")
+_SPHERE = ("cx", "cy", "cz", "radius", *_COLOR, "ka", "kd", "ks", "specExp", "kgr", "kt")
+_PLANE = ("px", "py", "pz", "nx", "ny", "nz", *_COLOR, "ka", "kd", "ks", "specExp", "kgr")
+_UNIT = {*_COLOR, "ka", "kd", "ks", "kgr", "kt"}
+_DEFAULT_WINDOW = 512.0
+
+
+def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
+    """Reads a scene file; see `spheretrace_jax.files.scene_text` for its grammar.
+
+    **Arguments:** `dtype`: float32 or float64, by default JAX's default floating dtype.
+
+    **Raises:** `SceneError`, with `file:line:column: what was expected, what stands there`.
+    **Warns:** `SceneWarning` where ka + kd > 1, which the lecture rules out.
+    """
+    dtype = _floating(dtype)
+    name = os.fspath(path)
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise SceneError(f"{name}: cannot read the scene: {error.strerror}") from None
+    parts = _Reader(name, decode(name, data), dtype).read()
+    for message in parts.warnings:
+        warnings.warn(message, SceneWarning, stacklevel=2)
+    return _build(parts, Path(path).parent, dtype)
+
+
+def save_scene(path: str | os.PathLike, scene: Scene) -> None:
+    """Writes a scene file, whole or not at all; reading it in the same dtype gives the same scene.
+
+    **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan) and
+    for textures that are in no file; `OSError` if the file cannot be written.
+    """
+    text = scene_text(scene, Path(path).parent)
+    _Reader(os.fspath(path), text, scene.dtype).read()  # what could not be read is not written
+    write_text(path, text)
+
+
+def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
+    """The text of a scene file that lies in `folder`: shortest numbers that read back exactly."""
+    s, c, planes = scene.spheres, scene.camera, scene.planes
+    lines = [
+        f"{_words(c.theta, c.phi, c.mu, c.distance)} // theta phi mu distance",
+        f"{scene.antialias} // antialias",
+        f"{len(scene.lights)} // numlights",
+    ]
+    white = np.ones(3)
+    for position, color in zip(scene.lights.position, scene.lights.color, strict=True):
+        lines.append(
+            _words(position) + ("" if np.array_equal(color, white) else " " + _words(color))
+        )
+    lines += [f"{len(s)} // numspheres", f"//{' '.join(_SPHERE)} pic"]
+    columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
+    for *row, pic in zip(*(np.asarray(x) for x in columns), s.pic, strict=True):
+        lines.append(f"{_words(*row)} {pic}")
+    lines += [f"texture {_file(t, folder)}" for t in scene.textures]
+    if np.any(np.asarray(scene.background)):
+        lines.append(f"background {_words(scene.background)}")
+    if scene.sky is not None:
+        lines.append(f"background_image {_file(scene.sky, folder)}")
+    if (back := scene.back_plane) is not None:
+        lines.append(f"back_plane {_words(back.color, back.ka, back.kd)}")
+    columns = (planes.point, planes.normal, planes.color, planes.ka, planes.kd, planes.ks)
+    columns += (planes.exponent, planes.kgr, planes.checker_color, planes.checker_size)
+    for *row, color, size in zip(*(np.asarray(x) for x in columns), strict=True):
+        checker = f" checker {_words(color, size)}" if size else ""
+        lines.append(f"plane {_words(*row)}{checker}")
+    if float(c.window) != _DEFAULT_WINDOW:
+        lines.append(f"window {_words(c.window)}")
+    return "\n".join(lines) + "\n"
+
+
+def _words(*values: Any) -> str:
+    return " ".join(str(x) for value in values for x in np.asarray(value).reshape(-1))
+
+
+def _file(texture: Texture, folder: str | os.PathLike) -> str:
+    if not texture.file:
+        raise SceneError("a texture is in no file: write it with write_image and name that file")
+    name = Path(os.path.relpath(texture.file, folder)).as_posix()
+    if any(c in name for c in '"\r\n'):
+        raise SceneError(
+            f"a scene file cannot name the picture {name!r}: it has a quote or a newline"
+        )
+    return f'"{name}"' if " " in name or "//" in name else name
+
+
+def _floating(dtype: Any) -> np.dtype:
+    default = jax.dtypes.canonicalize_dtype(float)
+    chosen = default if dtype is None else np.dtype(dtype)
+    if chosen not in (np.float32, np.float64):
+        raise InputError(f"a scene's dtype must be float32 or float64, got {chosen}")
+    if chosen == np.float64 and default != np.float64:
+        raise InputError(
+            "a float64 scene needs 64-bit JAX: jax.config.update('jax_enable_x64', True)"
+        )
+    return chosen
+
+
+class _Reader:
+    """Reads the parts of a scene, each checked and still without the textures' pixels."""
+
+    def __init__(self, name: str, text: str, dtype: np.dtype):
+        self.tokens = Tokens(name, text, dtype)
+        self.files: list[tuple[Token, str]] = []
+        self.sky: tuple[Token, str] | None = None
+        self.planes: list[list[float]] = []
+        self.background = [0.0, 0.0, 0.0]
+        self.back_plane: list[float] | None = None
+        self.window = _DEFAULT_WINDOW
+        self.pics: list[tuple[Token, int]] = []
+        self.warnings: list[str] = []
+
+    def read(self) -> "_Reader":
+        tokens = self.tokens
+        if not tokens.peek.text:
+            tokens.fail(tokens.peek, "expected a scene, starting with theta, got an empty file")
+        view = {"theta": -np.inf, "phi": -np.inf, "mu": 0.0}
+        self.view = [tokens.between(tokens.take(), name, low, np.inf) for name, low in view.items()]
+        self.view.append(tokens.positive(tokens.take(), "distance"))
+        flag = tokens.take()
+        self.antialias = tokens.count(flag, "antialias")
+        if self.antialias > 1:
+            tokens.fail(flag, f"antialias must be 0 or 1, got {flag}")
+        self.lights = [self._light(row) for row in self._rows("numlights", "light", (3, 6))]
+        self.spheres = [self._sphere(row) for row in self._rows("numspheres", "sphere", (14,))]
+        self._keywords()
+        for token, pic in self.pics:
+            if pic > len(self.files):
+                tokens.fail(
+                    token, f"pic must be in 0..{len(self.files)}, the number of textures, got {pic}"
+                )
+        return self
+
+    def _rows(self, count_name: str, row: str, counts: tuple[int, ...]) -> Iterator[list[Token]]:
+        """The tokens of as many rows as a count promises."""
+        tokens = self.tokens
+        token = tokens.take()
+        count = tokens.count(token, count_name)
+        tokens.end_line(f"{count_name} {count}")
+        for i in range(count):
+            name = f"{row} {i + 1} of {count}"
+            if not tokens.peek.text or tokens.peek.text in self._KEYWORDS:
+                tokens.fail(tokens.peek, f"expected {name}, got {tokens.peek}")
+            yield [tokens.take(), *tokens.rest(counts, name, had=1)]
+
+    def _light(self, row: list[Token]) -> list[float]:
+        values = [self.tokens.number(t, name) for t, name in zip(row, _POSITION, strict=False)]
+        for token, name in zip(row[3:], ("LR", "LG", "LB"), strict=False):
+            values.append(self.tokens.between(token, name, 0, np.inf))
+        return values if len(values) == 6 else [*values, 1.0, 1.0, 1.0]
+
+    def _sphere(self, row: list[Token]) -> list[float]:
+        values = self._values(row[:-1], _SPHERE)
+        total = values[7] + values[8]
+        if total > 1 + 1e-6:
+            place = f"{self.tokens.name}:{row[7].line}:{row[7].column}"
+            self.warnings.append(
+                f"{place}: ka + kd is {total:.6g}, the lecture's rule is at most 1"
+            )
+        self.pics.append((row[-1], self.tokens.count(row[-1], "pic")))
+        return values
+
+    def _value(self, token: Token, name: str) -> float:
+        if name in _UNIT:
+            return self.tokens.between(token, name, 0, 1)
+        if name == "specExp":
+            return self.tokens.between(token, name, 0, np.inf)
+        if name in ("radius", "size", "HEIGHT"):
+            return self.tokens.positive(token, name)
+        return self.tokens.number(token, name)
+
+    def _values(self, row: list[Token], names: tuple[str, ...]) -> list[float]:
+        return [self._value(token, name) for token, name in zip(row, names, strict=True)]
+
+    def _keywords(self) -> None:
+        tokens = self.tokens
+        seen: dict[str, int] = {}
+        while (word := tokens.take()).text:
+            if word.text not in self._KEYWORDS:
+                known = ", ".join(self._KEYWORDS)
+                after = f"after {len(self.spheres)} spheres"
+                tokens.fail(
+                    word, f"expected the end of the file {after}, or one of {known}, got {word}"
+                )
+            if word.text in seen and word.text not in ("texture", "plane"):
+                tokens.fail(word, f"{word.text} was given before, on line {seen[word.text]}")
+            seen[word.text] = word.line
+            counts, read = self._KEYWORDS[word.text]
+            read(self, tokens.rest(counts, word.text))
+
+    def _file(self, token: Token) -> tuple[Token, str]:
+        name = token.text.strip('"')
+        if not name:
+            self.tokens.fail(token, f"expected the name of a picture, got {token}")
+        return token, name
+
+    def _texture(self, row: list[Token]) -> None:
+        self.files.append(self._file(row[0]))
+
+    def _background(self, row: list[Token]) -> None:
+        self.background = self._values(row, _COLOR)
+
+    def _background_image(self, row: list[Token]) -> None:
+        self.sky = self._file(row[0])
+
+    def _back_plane(self, row: list[Token]) -> None:
+        self.back_plane = self._values(row, (*_COLOR, "ka", "kd"))
+
+    def _plane(self, row: list[Token]) -> None:
+        values = self._values(row[:14], _PLANE)
+        if not any(values[3:6]):
+            self.tokens.fail(row[3], "the normal nx ny nz of a plane must not be 0 0 0")
+        if len(row) == 14:
+            self.planes.append([*values, 0.0, 0.0, 0.0, 0.0])
+            return
+        if row[14].text != "checker":
+            self.tokens.fail(row[14], f"expected checker or the end of the line, got {row[14]}")
+        self.planes.append([*values, *self._values(row[15:], (*_COLOR, "size"))])
+
+    def _window(self, row: list[Token]) -> None:
+        (self.window,) = self._values(row, ("HEIGHT",))
+
+    # keyword: how many columns may follow it, and what reads them
+    _KEYWORDS = {  # noqa: RUF012
+        "texture": ((1,), _texture),
+        "background": ((3,), _background),
+        "background_image": ((1,), _background_image),
+        "back_plane": ((5,), _back_plane),
+        "plane": ((14, 19), _plane),
+        "window": ((1,), _window),
+    }
+
+
+def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
+    def table(rows: list[list[float]], columns: int) -> np.ndarray:
+        return np.asarray(rows, dtype).reshape(len(rows), columns)
+
+    def texture(place: tuple[Token, str]) -> Texture:
+        from .images import read_image  # OpenImageIO is wanted only where there are pictures
+
+        token, name = place
+        file = os.path.abspath(folder / name)
+        try:
+            return Texture(read_image(file), file)
+        except PictureError as error:
+            parts.tokens.fail(token, f"expected a picture, got {name}: {error}")
+
+    spheres, lights = table(parts.spheres, 13), table(parts.lights, 6)
+    planes, back = table(parts.planes, 18), parts.back_plane
+    pics = [pic for _, pic in parts.pics]
+    return Scene(
+        Spheres(spheres[:, :3], spheres[:, 3], spheres[:, 4:7], *spheres[:, 7:].T, pics),
+        Lights(lights[:, :3], lights[:, 3:]),
+        Camera(*np.asarray([*parts.view, parts.window], dtype)),
+        Planes(
+            *np.split(planes[:, :9], 3, axis=1), *planes[:, 9:14].T, planes[:, 14:17], planes[:, 17]
+        ),
+        textures=[texture(place) for place in parts.files],
+        background=np.asarray(parts.background, dtype),
+        sky=None if parts.sky is None else texture(parts.sky),
+        back_plane=None
+        if back is None
+        else BackPlane(np.asarray(back[:3], dtype), *table([back], 5)[0, 3:]),
+        antialias=parts.antialias,
+    )

@@ -1,0 +1,134 @@
+"""Words of a text file that know where they stand, and numbers in ranges."""
+
+import re
+from collections.abc import Iterator
+from typing import NoReturn
+
+import numpy as np
+
+from ..errors import SceneError
+
+_WORD = re.compile(
+    r'//[^\r\n]*|(?P<newline>\r\n|\r|\n)|(?P<word>"[^"\r\n]*"|(?:[^\s"/]+|/(?!/))+|")'
+)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+
+
+class Token:
+    """A word of a file: its text, line and column, both from 1."""
+
+    __slots__ = ("column", "line", "text")
+
+    def __init__(self, text: str, line: int, column: int):
+        self.text, self.line, self.column = text, line, column
+
+    def __str__(self) -> str:
+        if not self.text:
+            return "the end of the file"
+        return (
+            self.text
+            if len(self.text) <= 32
+            else f"{self.text[:24]}... ({len(self.text)} characters)"
+        )
+
+
+class Tokens:
+    """The words of a text, one at a time; `//` starts a comment that ends with its line."""
+
+    def __init__(self, name: str, text: str, dtype: np.dtype):
+        self.name, self.dtype = name, dtype
+        self._words = self._scan(text)
+        self.peek = next(self._words)  # the next token; of empty text at the end of the file
+        self.last = Token("", 1, 1)  # the latest token taken
+
+    @staticmethod
+    def _scan(text: str) -> Iterator[Token]:
+        line, start = 1, 0
+        for match in _WORD.finditer(text):
+            if match["newline"]:
+                line, start = line + 1, match.end()
+            elif match["word"]:
+                yield Token(match["word"], line, match.start() - start + 1)
+        while True:
+            yield Token("", line, len(text) - start + 1)
+
+    def take(self) -> Token:
+        self.last, self.peek = self.peek, next(self._words)
+        return self.last
+
+    def fail(self, token: Token, message: str) -> NoReturn:
+        """**Raises:** `SceneError` with the place of `token`."""
+        raise SceneError(f"{self.name}:{token.line}:{token.column}: {message}")
+
+    @property
+    def line_ends(self) -> bool:
+        """Whether the latest token is the last one of its line."""
+        return not self.peek.text or self.peek.line != self.last.line
+
+    def end_line(self, what: str) -> None:
+        """Expects the end of the line after `what`."""
+        if not self.line_ends:
+            self.fail(self.peek, f"expected the end of the line after {what}, got {self.peek}")
+
+    def rest(self, counts: tuple[int, ...], row: str, had: int = 0) -> list[Token]:
+        """The tokens that are left of the present line.
+
+        **Arguments:** `counts`: how many columns the `row` may have in all. `had`: how many of
+        them were taken before.
+        """
+        tokens = []
+        while not self.line_ends and had + len(tokens) < max(counts):
+            tokens.append(self.take())
+        self.end_line(row)
+        if had + len(tokens) not in counts:
+            end = Token("", self.last.line, self.last.column + len(self.last.text))
+            wanted = " or ".join(map(str, counts))
+            got = had + len(tokens)
+            self.fail(end, f"expected {wanted} columns for {row}, got {got}")
+        return tokens
+
+    def number(self, token: Token, what: str) -> float:
+        """The finite number that `token` spells, rounded to the file's dtype."""
+        if len(token.text) > 400 or not _NUMBER.fullmatch(token.text):
+            self.fail(token, f"expected {what}, a number, got {token}")
+        with np.errstate(over="ignore"):
+            value = float(self.dtype.type(float(token.text)))
+        if not np.isfinite(value):
+            self.fail(token, f"{what} must be finite in {self.dtype}, got {token}")
+        return value
+
+    def between(self, token: Token, what: str, low: float, high: float) -> float:
+        value = self.number(token, what)
+        if not low <= value <= high:
+            limits = f"at least {low:g}" if high == np.inf else f"in {low:g}..{high:g}"
+            self.fail(token, f"{what} must be {limits}, got {token}")
+        return value
+
+    def positive(self, token: Token, what: str) -> float:
+        value = self.number(token, what)
+        if not value > 0:
+            self.fail(token, f"{what} must be greater than 0, got {token}")
+        return value
+
+    def count(self, token: Token, what: str) -> int:
+        """A whole number from 0."""
+        if not re.fullmatch(r"\+?\d{1,18}", token.text):
+            self.fail(token, f"expected {what}, a whole number from 0, got {token}")
+        return int(token.text)
+
+
+def decode(name: str, data: bytes) -> str:
+    """The text of a file; comments may be in Latin-1. **Raises:** `SceneError` for binary data."""
+    control = _CONTROL.search(data)
+    if control:
+        line = data.count(b"\n", 0, control.start()) + 1
+        column = control.start() - data.rfind(b"\n", 0, control.start())
+        byte = data[control.start()]
+        raise SceneError(
+            f"{name}:{line}:{column}: expected text, got binary data (byte 0x{byte:02x})"
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
