@@ -8,6 +8,7 @@ from .errors import (
 )
 from .files.images import read_image as read_image, write_image as write_image
 from .files.scene_text import load_scene as load_scene, save_scene as save_scene
+from .fit import Fit as Fit, fit as fit
 from .needs import Needs as Needs, needs as needs
 from .render import render as render
 from .scene import (

@@ -1,0 +1,43 @@
+"""What a fit compares: the target picture, and which of its numbers count."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from .._types import Picture
+from ..errors import PictureError
+
+# Integer pictures spell white as 1 up to the rounding of the conversion to linear light; the next
+# number below white is 1 - 3e-5 in 16 bits.
+_NEARLY_WHITE = 1 - 1e-5
+
+
+class Target(eqx.Module):
+    """A picture to fit and which of its numbers count."""
+
+    image: Picture
+    counts: Bool[Array, "height width 3"]
+
+    def residual(self, picture: Picture) -> Float[Array, " numbers"]:
+        """Picture minus target where it counts, 0 elsewhere, flat."""
+        return jnp.where(self.counts, picture - self.image, 0).reshape(-1)
+
+
+def make_target(image: ArrayLike, dtype: np.dtype) -> Target:
+    """Checks a target picture and leaves out what is clipped.
+
+    A picture none of whose numbers exceeds 1 and some of which are 1 was clipped, as 8- and 16-bit
+    files are: the numbers at 1 say "at least 1" and do not count. Pictures with brighter pixels
+    (EXR, HDR) are taken to be whole.
+
+    **Raises:** `PictureError` for shapes other than `(height, width, 3)` and for nan or inf.
+    """
+    pixels = np.asarray(image)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
+        raise PictureError(f"the target must have shape (height, width, 3), got {pixels.shape}")
+    wild = int(np.count_nonzero(~np.isfinite(pixels)))
+    if wild:
+        raise PictureError(f"the target must be finite, got {wild} numbers that are nan or inf")
+    clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= 1 + 1e-5)
+    return Target(jnp.asarray(pixels, dtype), jnp.asarray(~clipped))
