@@ -20,5 +20,6 @@ from .scene import (
     Spheres as Spheres,
     Texture as Texture,
 )
+from .study.gradients import GradientTable as GradientTable, check_gradients as check_gradients
 
 __version__ = "0.1.0"

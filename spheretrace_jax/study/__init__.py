@@ -1,0 +1,1 @@
+"""Evidence: how well derivatives, pictures and fits agree with the truth."""
