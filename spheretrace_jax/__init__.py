@@ -7,6 +7,7 @@ from .errors import (
     SceneWarning as SceneWarning,
 )
 from .files.images import read_image as read_image, write_image as write_image
+from .files.povray import write_povray as write_povray
 from .files.scene_text import load_scene as load_scene, save_scene as save_scene
 from .fit import Fit as Fit, fit as fit
 from .needs import Needs as Needs, needs as needs

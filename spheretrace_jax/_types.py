@@ -7,13 +7,13 @@ from jaxtyping import Array, Bool, Float, Int
 Scalar = Float[Array, ""]
 """One real number of the scene."""
 
-Plane = Float[Array, "*pixels"]
+Plane = Float[Array, "*#pixels"]
 """One real number per pixel. Functions of planes take scalars too: `*pixels` may be empty."""
 
-Mask = Bool[Array, "*pixels"]
+Mask = Bool[Array, "*#pixels"]
 """One yes or no per pixel."""
 
-Ids = Int[Array, "*pixels"]
+Ids = Int[Array, "*#pixels"]
 """The number of an object per pixel: spheres first, then planes; -1 where there is none."""
 
 Picture = Float[Array, "height width 3"]

@@ -117,10 +117,7 @@ def write_image(
 
     path, pixels = Path(path), np.asarray(image, np.float32)
     ending = path.suffix.lower()
-    if ending not in _WRITABLE:
-        raise PictureError(
-            f"{path}: expected a picture file ({', '.join(_WRITABLE)}), got {ending!r}"
-        )
+    check_writable(path, bits)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise PictureError(
             f"{path}: expected a picture of shape (height, width, 3), got {pixels.shape}"
@@ -142,6 +139,26 @@ def write_image(
             raise PictureError(f"{path}: cannot be written: {_first_line(oiio.geterror())}")
         if not (sink.write_image(np.ascontiguousarray(pixels)) and sink.close()):
             raise PictureError(f"{path}: cannot be written: {_first_line(sink.geterror())}")
+
+
+def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
+    """Says early whether `write_image` can write such a file, before anything is computed.
+
+    **Raises:** `PictureError` for formats, bits and folders that do not go.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in _WRITABLE:
+        formats = ", ".join(_WRITABLE)
+        raise PictureError(f"{path}: expected a picture file ({formats}), got {ending!r}")
+    _kind(path, ending, bits)
+    if not path.parent.is_dir():
+        raise PictureError(f"{path}: there is no folder {path.parent} to write to")
+
+
+def to_srgb(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+    """Linear RGB as sRGB numbers, for showing."""
+    return _convert(np.asarray(image, np.float32), _LINEAR, _SRGB)
 
 
 def _kind(path: Path, ending: str, bits: int | None) -> str:

@@ -98,7 +98,7 @@ class Tokens:
             self.fail(token, f"{what} must be finite in {self.dtype}, got {token}")
         return value
 
-    def between(self, token: Token, what: str, low: float, high: float) -> float:
+    def between(self, token: Token, what: str, low: float | int, high: float | int) -> float:
         value = self.number(token, what)
         if not low <= value <= high:
             limits = f"at least {low:g}" if high == np.inf else f"in {low:g}..{high:g}"

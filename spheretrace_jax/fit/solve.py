@@ -41,6 +41,11 @@ class Fit(eqx.Module):
     interrupted: bool  #: whether the user stopped it: `scene` is the best so far
 
     @property
+    def result_message(self) -> str:
+        """Why the solver stopped, if it did not converge."""
+        return str(optx.RESULTS[self.result])
+
+    @property
     def converged(self) -> bool:
         """Whether no better scene is within the tolerance."""
         return bool(self.result == optx.RESULTS.successful)
@@ -134,10 +139,11 @@ class _Run:
 
     def solve(self, values: Values, max_steps: int, callback: Callable | None):
         """**Returns:** the best values, the solver's result, and whether it was interrupted."""
-        fixed = dict(fn=self.residual, options={}, tags=frozenset())
-        step = eqx.filter_jit(eqx.Partial(self.solver.step, **fixed))
-        shapes = jax.eval_shape(self.residual, values, self.args)
-        state = self.solver.init(y=values, args=self.args, f_struct=shapes[0], aux_struct=None, **fixed)
+        problem = dict(fn=self.residual, options={}, tags=frozenset())
+        step = eqx.filter_jit(eqx.Partial(self.solver.step, **problem))
+        problem["args"] = self.args
+        shape, _ = jax.eval_shape(self.residual, values, self.args)
+        state = self.solver.init(y=values, f_struct=shape, aux_struct=None, **problem)
         try:
             for number in range(max_steps):
                 values, state, _ = step(y=values, args=self.args, state=state)
@@ -146,7 +152,7 @@ class _Run:
                     callback(Progress(number + 1, max_steps, self.costs[-1]))
                 if not jnp.isfinite(self.costs[-1]):
                     return values, optx.RESULTS.nonfinite, False
-                done, result = self.solver.terminate(y=values, args=self.args, state=state, **fixed)
+                done, result = self.solver.terminate(y=values, state=state, **problem)
                 if done or self._at_rest(values, state):
                     return values, result, False
         except KeyboardInterrupt:

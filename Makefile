@@ -1,0 +1,36 @@
+# Everything that a fresh clone needs is set up by the first target that needs it.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+READY = $(VENV)/.ready
+
+.PHONY: demo test test-slow lint references clean
+
+demo: $(READY)
+	$(BIN)/spheretrace demo --output spheretrace_demo
+	@echo "look at spheretrace_demo/comparison.png"
+
+test: $(READY) lint
+	$(BIN)/python -m pytest
+
+test-slow: $(READY)
+	$(BIN)/python -m pytest -m slow
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+# needs POV-Ray 3.7 (Debian: povray)
+references: $(READY)
+	$(BIN)/python -W ignore data/references/make_references.py
+	$(BIN)/python -W ignore data/make_demo_picture.py
+
+$(READY): pyproject.toml
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "needs Python 3.11 or later"'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) spheretrace_demo

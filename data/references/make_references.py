@@ -1,0 +1,46 @@
+"""Renders the reference pictures of references.json with POV-Ray 3.7: `make references`.
+
+Each NAME.txt becomes NAME.png beside it: 16 bits, linear, one ray per pixel. Names given on the
+command line choose some of them.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import jax
+
+from spheretrace_jax import load_scene
+from spheretrace_jax.files.povray import write_povray
+
+HERE = Path(__file__).parent
+
+
+def render(reference: dict, folder: Path = HERE) -> None:
+    """Writes the picture of one entry of the table into `folder`, if all went well."""
+    name = reference["name"]
+    with tempfile.TemporaryDirectory() as temporary:
+        pov, png = Path(temporary, f"{name}.pov"), Path(temporary, f"{name}.png")
+        scene = load_scene(HERE / f"{name}.txt")
+        options = {key: reference[key] for key in ("highlight", "bounces")}
+        write_povray(pov, scene, **options, scene_path=f"{name}.txt")
+        size = [f"+W{reference['width']}", f"+H{reference['height']}"]
+        # one ray per pixel, no window, linear numbers of 16 bits
+        how = ["-A", "-D", "+FN16", "File_Gamma=1.0"]
+        done = subprocess.run(
+            ["povray", f"+I{pov}", f"+O{png}", *size, *how], capture_output=True, text=True
+        )
+        if done.returncode:
+            sys.exit(f"{name}: povray failed\n{done.stderr}")
+        shutil.copyfile(png, folder / png.name)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    for reference in json.loads((HERE / "references.json").read_text()):
+        if len(sys.argv) == 1 or reference["name"] in sys.argv[1:]:
+            render(reference)
+            print(reference["name"])

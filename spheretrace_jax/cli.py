@@ -1,0 +1,346 @@
+"""The command line: `spheretrace render | fit | info | convert | demo`.
+
+Errors that a user can cause are one line and exit status 2; a fit that did not converge exits
+with 1, an interrupted one with 130.
+"""
+
+import sys
+import time
+import warnings
+from contextlib import nullcontext
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import Positional, arg
+
+from .errors import InputError, SceneWarning
+
+Dtype = Literal["float32", "float64"]
+Highlight = Literal["phong", "blinn"]
+SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
+
+
+@dataclass
+class Render:
+    """Draw a scene to a picture file.
+
+    The ending of IMAGE chooses the format: exr and hdr hold linear numbers, unclamped; png, ppm,
+    tiff and jpg hold sRGB, clipped to 0..1.
+    """
+
+    scene: SceneFile
+    output: Annotated[Path, arg(aliases=["-o"], metavar="IMAGE", help="the picture to write")]
+    size: Annotated[str, arg(metavar="WxH", help="width and height in pixels")] = "512x512"
+    highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
+    bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
+    samples: Annotated[
+        int | None,
+        arg(metavar="K", help="K x K rays per pixel; by default the scene's flag decides"),
+    ] = None
+    dtype: Annotated[Dtype, arg(help="the precision")] = "float32"
+    colorspace: Annotated[
+        Literal["auto", "linear", "srgb"], arg(help="how to code the file's numbers")
+    ] = "auto"
+    bits: Annotated[
+        int | None, arg(metavar="B", help="8, 16 or 32 per number, as far as IMAGE can")
+    ] = None
+
+    def run(self) -> int:
+        from . import load_scene, render, write_image
+        from .files.images import check_writable
+        from .files.scene_text import scene_text
+
+        width, height = _size(self.size)
+        check_writable(self.output, self.bits)
+        scene = load_scene(self.scene, self.dtype)
+        start = time.perf_counter()
+        with _busy(f"rendering {width} x {height}"):
+            picture = render(
+                scene, width=width, height=height, highlight=self.highlight, bounces=self.bounces,
+                samples=self.samples,
+            ).block_until_ready()  # fmt: skip
+        seconds = time.perf_counter() - start
+        text = scene_text(scene, self.output.parent)
+        write_image(self.output, picture, colorspace=self.colorspace, bits=self.bits, scene=text)
+        print(f"{self.output}: {width} x {height}, {seconds:.2f} s with compilation")
+        return 0
+
+
+@dataclass
+class FitCommand:
+    """Find the scene that looks like a picture, starting from SCENE.
+
+    SCENE holds what is known (geometry, camera) and the first guess of what is free. Writes the
+    best scene, also when it is interrupted. Exit status 1: the fit did not converge.
+    """
+
+    scene: SceneFile
+    target: Positional[Annotated[Path, arg(metavar="TARGET", help="the picture to explain")]]
+    output: Annotated[
+        Path, arg(aliases=["-o"], metavar="FITTED.txt", help="the scene file to write")
+    ]
+    free: Annotated[
+        str, arg(metavar="NAMES", help="what to fit, with commas: color, ka, kd, ks, exponent, kgr, kt, light_position, light_color")
+    ] = "color,ka,kd,ks,light_position"  # fmt: skip
+    highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
+    bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
+    samples: Annotated[
+        int | None,
+        arg(metavar="K", help="K x K rays per pixel; by default the scene's flag decides"),
+    ] = None
+    dtype: Annotated[Dtype, arg(help="the precision")] = "float32"
+    colorspace: Annotated[
+        Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
+    ] = "auto"
+    max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps")] = 100
+    report: Annotated[
+        Path | None, arg(metavar="DIR", help="a folder for pictures, cost curve and a table")
+    ] = None
+
+    def run(self) -> int:
+        from . import load_scene, read_image, save_scene
+        from .report import verdict
+
+        free = tuple(name.strip() for name in self.free.split(",") if name.strip())
+        if not self.output.parent.is_dir():
+            raise InputError(f"{self.output}: there is no folder {self.output.parent} to write to")
+        scene = load_scene(self.scene, self.dtype)
+        target = read_image(self.target, self.colorspace)
+        settings = dict(highlight=self.highlight, bounces=self.bounces, samples=self.samples)
+        found = _fit_with_progress(scene, target, free=free, max_steps=self.max_steps, **settings)
+        save_scene(self.output, found.scene)
+        print(f"{self.output}: {verdict(found)}")
+        if self.report is not None:
+            for file in _report(self.report, found, scene, target, free, settings):
+                print(file)
+        return 130 if found.interrupted else 0 if found.converged else 1
+
+
+@dataclass
+class Info:
+    """Show a scene as a table: what is in it, what its picture needs, what is left out and why."""
+
+    scene: SceneFile
+
+    def run(self) -> int:
+        from rich.console import Console
+        from rich.table import Table
+
+        from . import load_scene
+        from .needs import left_out
+
+        scene = load_scene(self.scene)
+        console = Console()
+        c, s = scene.camera, scene.spheres
+        console.print(
+            f"{self.scene}: {len(s)} spheres, {len(scene.lights)} lights, {len(scene.planes)} planes"
+            f"{', the back plane' if scene.back_plane is not None else ''}, "
+            f"{len(scene.textures)} textures",
+            highlight=False,
+        )
+        console.print(
+            f"camera: theta {float(c.theta):g}, phi {float(c.phi):g}, mu {float(c.mu):g}, "
+            f"distance {float(c.distance):g}, window {float(c.window):g}",
+            highlight=False,
+        )
+        for i, (p, color) in enumerate(zip(scene.lights.position, scene.lights.color, strict=True)):
+            text = f"light {i + 1}: at {_short(p)}, color {_short(color)}"
+            console.print(text, highlight=False)
+        table = Table(
+            "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic"
+        )
+        columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
+        shown = min(len(s), 50)
+        for i in range(shown):
+            table.add_row(str(i + 1), *(_short(column[i]) for column in columns), str(s.pic[i]))
+        console.print(table)
+        if len(s) > shown:
+            console.print(f"and {len(s) - shown} more spheres")
+        table = Table("feature", "computed", "why")
+        for name, needed, why in left_out(scene):
+            table.add_row(name, "yes" if needed else "left out", why)
+        console.print(table)
+        return 0
+
+
+@dataclass
+class Convert:
+    """Write a scene for POV-Ray 3.7, whose picture is then the same."""
+
+    scene: SceneFile
+    output: Positional[Annotated[Path, arg(metavar="OUT.pov", help="the POV-Ray file to write")]]
+    highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
+    bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
+
+    def run(self) -> int:
+        from . import load_scene, write_povray
+
+        if self.output.suffix != ".pov":
+            raise InputError(f"{self.output}: expected a file that ends in .pov")
+        scene = load_scene(self.scene, "float64" if _x64() else "float32")
+        write_povray(self.output, scene, highlight=self.highlight, bounces=self.bounces)
+        print(
+            f"{self.output}: render it with povray +W512 +H512 -A +FN16 File_Gamma=1 {self.output}"
+        )
+        return 0
+
+
+@dataclass
+class Demo:
+    """Fit the nine-sphere scene to a picture that POV-Ray rendered, from a wrong start.
+
+    All colours, ka, kd, ks and the light's position start wrong and are recovered.
+    """
+
+    output: Annotated[
+        Path, arg(aliases=["-o"], metavar="DIR", help="the folder to write to")
+    ] = Path("spheretrace_demo")  # fmt: skip
+    dtype: Annotated[Dtype, arg(help="the precision")] = "float32"
+
+    def run(self) -> int:
+        from . import load_scene, read_image, render, save_scene, write_image
+        from .demo import wrong_start
+        from .report import determined, verdict
+
+        data = _data_folder()
+        truth = load_scene(data / "nine_spheres.txt", self.dtype)
+        target = read_image(data / "nine_spheres.png")
+        start = wrong_start(truth)
+        free = ("color", "ka", "kd", "ks", "light_position")
+        found = _fit_with_progress(start, target, free=free)
+        self.output.mkdir(parents=True, exist_ok=True)
+        save_scene(self.output / "fitted.txt", found.scene)
+        with _busy("rendering the fitted scene"):
+            write_image(self.output / "fitted.png", render(found.scene))
+        files = [self.output / "fitted.txt", self.output / "fitted.png"]
+        files += _report(self.output, found, start, target, free, {})
+        print(f"the fit {verdict(found)}")
+        print("largest error against the file that POV-Ray rendered:")
+        pairs = zip(determined(found.scene).items(), determined(start).values(), strict=True)
+        for (name, value), first in pairs:
+            true = determined(truth)[name]
+            error, at_start = (abs(x - true).max() for x in (value, first))
+            print(f"  {name:15} {error:9.2e}   (start: {at_start:.2e})")
+        print("written:", *files, sep="\n  ")
+        return 0 if found.converged else 1
+
+
+def main() -> None:
+    """The entry point of the `spheretrace` program."""
+    import jax
+
+    commands = {"render": Render, "fit": FitCommand, "info": Info, "convert": Convert, "demo": Demo}
+    command = tyro.extras.subcommand_cli_from_dict(
+        commands,
+        prog="spheretrace",
+        description="Draw worlds of spheres, and find the world that a picture shows.",
+        config=(tyro.conf.OmitArgPrefixes,),
+    )
+    warnings.showwarning = _show_warning
+    double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, Convert)
+    try:
+        with jax.enable_x64(True) if double else nullcontext():
+            status = command.run()
+    except (InputError, OSError) as error:
+        print(f"spheretrace: {_one_line(error)}", file=sys.stderr)
+        status = 2
+    except KeyboardInterrupt:
+        print("spheretrace: interrupted, nothing written", file=sys.stderr)
+        status = 130
+    sys.exit(status)
+
+
+def _x64() -> bool:
+    import jax
+
+    return bool(jax.config.jax_enable_x64)
+
+
+def _one_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    prefix = "" if issubclass(category, SceneWarning) else f"{category.__name__}: "
+    print(f"spheretrace: warning: {prefix}{message}", file=sys.stderr)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise InputError(f"--size must be WIDTHxHEIGHT in pixels, such as 512x512, got {text!r}")
+    return int(width), int(height)
+
+
+def _short(value) -> str:
+    import numpy as np
+
+    return " ".join(f"{float(x):g}" for x in np.atleast_1d(np.asarray(value)))
+
+
+def _data_folder() -> Path:
+    """Where the demo's scene and picture are: in the installed package, or in the source tree."""
+    installed = Path(str(resources.files("spheretrace_jax"))) / "data"
+    folder = installed if installed.is_dir() else Path(__file__).parent.parent / "data"
+    if not (folder / "nine_spheres.png").is_file():
+        raise InputError(
+            "the demo's data are missing from this installation: reinstall the package"
+        )
+    return folder
+
+
+def _busy(text: str):
+    """A spinner while something takes longer than a blink."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(text)
+
+
+def _fit_with_progress(scene, target, **settings):
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from . import fit
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("compiling", total=None)
+
+        def show(state) -> None:
+            bar.update(
+                task,
+                completed=state.step,
+                total=state.max_steps,
+                description=f"cost {state.cost:.3e}",
+            )
+
+        return fit(scene, target, callback=show, **settings)
+
+
+def _report(folder: Path, found, start, target, free, settings) -> list[Path]:
+    import numpy as np
+
+    from . import render
+    from .report import write_report
+
+    height, width = target.shape[:2]
+    with _busy("writing the report"):
+        before, after = (
+            np.asarray(render(scene, width=width, height=height, **settings))
+            for scene in (start, found.scene)
+        )
+        return write_report(folder, found, start, target, before, after, free)
+
+
+if __name__ == "__main__":
+    main()

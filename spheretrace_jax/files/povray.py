@@ -1,0 +1,341 @@
+"""Scenes for POV-Ray 3.7, which then draws the same picture.
+
+The program's shading is POV-Ray's classic one, so nearly everything has a keyword of its own; where
+it has not, the way round is explained here and in the .pov text. What cannot be said exactly is
+listed at the top of that text, in lines `// not exact: ...`. A linear picture to compare with:
+
+    povray scene.pov +W512 +H512 -A -D +FN16 File_Gamma=1.0 +Oscene.png
+
+POV-Ray's vectors have no handedness of their own; it is the camera's that counts, so world
+coordinates are written as they are.
+"""
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Array
+
+from .._types import Highlight
+from ..camera import view_frame
+from ..errors import InputError, SceneError
+from ..scene import Camera, Planes, Scene, Spheres, Texture
+from ..shading import HIGHLIGHTS
+from ..vec import Vec
+from ..world import World, build_world
+from .atomic import write_text
+
+_FORMATS = {
+    ".bmp": "bmp", ".exr": "exr", ".gif": "gif", ".hdr": "hdr", ".jpeg": "jpeg", ".jpg": "jpeg",
+    ".png": "png", ".ppm": "ppm", ".tga": "tga", ".tif": "tiff", ".tiff": "tiff",
+}  # fmt: skip
+_LINEAR_FORMATS = ("exr", "hdr")
+
+_Number = float | np.floating
+
+# POV-Ray dims a surface by what it lets through; _sphere divides by that, so it must not be 0.
+# A power of 2, since POV-Ray keeps colours in float32.
+_LEAST_OPACITY = 2.0**-14
+_FARTHEST = 1e7  # POV-Ray's MAX_DISTANCE
+_NEAREST = 1e-3  # POV-Ray's SHADOW_TOLERANCE
+
+_WRAPPED = """
+// A bitmap around a sphere at the origin, times a colour. POV-Ray would blend the picture's first
+// and last row at the poles, so points within half a row of a pole look up the middle of that row.
+// 3: an average of three pigments divides by 3. Peak: a pigment's pattern must not exceed 1.
+#declare Clamped = function(x, y, z, Steepest) {
+  max(-Steepest * sqrt(x*x + y*y), min(Steepest * sqrt(x*x + y*y), z))
+}
+#macro Wrapped(Image, Steepest, Peak, Red, Green, Blue, Through)
+  average pigment_map {
+    [1 function { Image(x, Clamped(x, y, z, Steepest), y).red / Peak }
+       color_map { [0 rgbt <0, 0, 0, Through>] [1 rgbt <3 * Peak * Red, 0, 0, Through>] }]
+    [1 function { Image(x, Clamped(x, y, z, Steepest), y).green / Peak }
+       color_map { [0 rgbt <0, 0, 0, Through>] [1 rgbt <0, 3 * Peak * Green, 0, Through>] }]
+    [1 function { Image(x, Clamped(x, y, z, Steepest), y).blue / Peak }
+       color_map { [0 rgbt <0, 0, 0, Through>] [1 rgbt <0, 0, 3 * Peak * Blue, Through>] }]
+  }
+#end
+"""
+
+
+def write_povray(
+    path: str | os.PathLike,
+    scene: Scene,
+    *,
+    highlight: Highlight = "phong",
+    bounces: int = 5,
+    scene_path: str | os.PathLike | None = None,
+) -> None:
+    """Writes a scene for POV-Ray 3.7, whole or not at all; see `povray_text`.
+
+    **Arguments:** `scene_path`: the scene file it was made from, whose name (without its folder)
+    is mentioned in the first line.
+
+    **Raises:** as `povray_text`; `OSError` if the file cannot be written.
+    """
+    text = povray_text(scene, highlight=highlight, bounces=bounces)
+    if scene_path is not None:
+        text = f"// made from {Path(scene_path).name}\n{text}"
+    write_text(path, text)
+
+
+def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 5) -> str:
+    """A scene in POV-Ray 3.7's language, for pictures of any size.
+
+    Textures are named as in the scene: from `load_scene` these are absolute paths, since POV-Ray
+    looks for relative ones where it was started.
+
+    **Arguments:** `highlight`, `bounces`: as for `render`.
+
+    **Raises:** `SceneError` for textures that are in no file, or in a file of a kind that POV-Ray
+    does not read, and for numbers that are not finite; `InputError` for an unknown highlight and
+    bounces out of range.
+    """
+    if highlight not in HIGHLIGHTS:
+        raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
+    if not 0 <= bounces < 256:
+        raise InputError(f"bounces must be in 0..255 for POV-Ray, got {bounces}")
+    eye = _points(view_frame(scene.camera).eye)
+    parts = [
+        *(f"// not exact: {what}" for what in _inexact(scene, eye, bounces)),
+        *_settings(scene, bounces),
+        *_camera(scene.camera),
+        *_background(scene),
+    ]
+    for position, color in _rows(scene.lights.position, scene.lights.color):
+        parts.append(f"light_source {{ {_vector(position)} rgb {_vector(color)} }}")
+    for k in sorted(set(scene.spheres.pic) - {0}):
+        parts.append(_image(f"Image{k}", scene.textures[k - 1]))
+    parts += _spheres(scene, eye, highlight)
+    parts += _planes(scene.planes, highlight)
+    parts += _back_plane(scene)
+    return "\n".join(parts) + "\n"
+
+
+def _number(x: _Number) -> str:
+    """The shortest decimal that reads back as the same number of its dtype."""
+    if not np.isfinite(x):
+        raise SceneError(f"a scene that holds {x} cannot be written for POV-Ray")
+    return str(x)
+
+
+def _vector(values: Iterable[_Number]) -> str:
+    return f"<{', '.join(_number(x) for x in values)}>"
+
+
+def _rows(*columns: Array) -> Iterator[tuple]:
+    """The rows of a table that is stored as columns, as NumPy's numbers."""
+    return zip(*(np.asarray(column) for column in columns), strict=True)
+
+
+def _points(v: Vec) -> np.ndarray:
+    """The planes of a `Vec` as one array of NumPy, its last axis x, y, z."""
+    return np.stack([np.asarray(v.x), np.asarray(v.y), np.asarray(v.z)], axis=-1)
+
+
+def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
+    """What POV-Ray will, or may, draw differently."""
+    world = build_world(scene)
+    radius, kt = np.asarray(scene.spheres.radius), np.asarray(scene.spheres.kt)
+    from_eye = np.linalg.norm(np.asarray(scene.spheres.center) - eye, axis=1) - radius
+    mirrors = bool(np.any(np.asarray(world.materials.kgr) > 0))
+    inexact = {
+        "POV-Ray has its own antialiasing, +A": scene.antialias,
+        f"kt counts as at most {1 - _LEAST_OPACITY}": (kt > 1 - _LEAST_OPACITY).any(),
+        "rays that go straight through a sphere do not count as bounces": (
+            (kt > 0).any() and (mirrors or (kt > 0).sum() > bounces)
+        ),
+        "far walls of transparent spheres that meet other objects or hold the eye": (
+            any(_meets(world, i, eye) for i in np.flatnonzero(kt > 0))
+        ),
+        f"POV-Ray sees nothing farther than {_FARTHEST:g} units, the ends of planes neither": (
+            world.planes > 0 or (from_eye > _FARTHEST).any()
+        ),
+        f"POV-Ray drops the shadows of what is nearer than {_NEAREST:g} units": (
+            (radius < 10 * _NEAREST).any()
+        ),
+    }
+    return [what for what, holds in inexact.items() if holds]
+
+
+def _meets(world: World, i: int | np.integer, eye: np.ndarray) -> bool:
+    """Whether sphere i meets another object or holds the eye."""
+    center, radius = _points(world.balls.center), np.asarray(world.balls.radius)
+    others = np.arange(world.spheres) != i
+    from_planes = np.sum((_points(world.flats.point) - center[i]) * _points(world.flats.normal), 1)
+    return bool(
+        np.linalg.norm(eye - center[i]) < radius[i]
+        or (np.abs(from_planes) < radius[i]).any()
+        or (np.linalg.norm(center - center[i], axis=1) < radius + radius[i])[others].any()
+    )
+
+
+def _settings(scene: Scene, bounces: int) -> list[str]:
+    lights = np.asarray(scene.lights.color)
+    ambient = lights.mean(axis=0) if len(lights) else np.zeros(3, scene.dtype)
+    return [
+        "#version 3.7;",
+        "global_settings {",
+        "  assumed_gamma 1",
+        "  charset utf8",
+        f"  ambient_light rgb {_vector(ambient)} // the mean of the lights",
+        f"  max_trace_level {bounces + 1} // the ray from the eye counts",
+        "  adc_bailout 0",
+        "}",
+    ]
+
+
+def _camera(camera: Camera) -> list[str]:
+    frame = view_frame(camera)
+    axes = (frame.eye, frame.right, frame.up, frame.forward)
+    eye, right, up, forward = (_vector(_points(v)) for v in axes)
+    window, distance = next(_rows(camera.window[None], camera.distance[None]))
+    return [
+        "camera {",
+        "  perspective",
+        f"  location {eye}",
+        f"  right {right} * {_number(window)} * image_width / image_height",
+        f"  up {up} * {_number(window)}",
+        f"  direction {forward} * {_number(distance)}",
+        "}",
+    ]
+
+
+def _background(scene: Scene) -> list[str]:
+    textures = [scene.textures[k - 1] for k in scene.spheres.pic if k]
+    wrapped = [_WRAPPED] if textures or scene.sky is not None else []
+    if scene.sky is None:
+        return [f"background {{ rgb {_vector(np.asarray(scene.background))} }}", *wrapped]
+    pigment = _wrapped("Sky", scene.sky, np.ones(3), 0.0)
+    return [*wrapped, _image("Sky", scene.sky), f"sky_sphere {{ pigment {{ {pigment} }} }}"]
+
+
+def _image(name: str, texture: Texture) -> str:
+    if not texture.file:
+        raise SceneError("a texture is in no file: write it with write_image and name that file")
+    ending = Path(texture.file).suffix.lower()
+    if ending not in _FORMATS:
+        known = ", ".join(_FORMATS)
+        raise SceneError(f"{texture.file}: expected a picture that POV-Ray reads ({known})")
+    file = Path(texture.file).as_posix()  # POV-Ray takes slashes on Windows, too
+    if any(c in file for c in '"\\\r\n'):
+        raise SceneError(f"POV-Ray cannot name the picture {texture.file!r}")
+    gamma = "1" if _FORMATS[ending] in _LINEAR_FORMATS else "srgb"
+    image = f'{_FORMATS[ending]} "{file}" gamma {gamma} map_type 1 interpolate 2'
+    return f"#declare {name} = function {{ pigment {{ image_map {{ {image} }} }} }}"
+
+
+def _wrapped(name: str, texture: Texture, color: np.ndarray, kt: _Number) -> str:
+    """The pigment of a bitmap in POV-Ray's words; z of ours is POV-Ray's y there."""
+    image = np.asarray(texture.image)
+    steepest = 1 / np.tan(np.pi / 2 / image.shape[0])
+    peak = max(1.0, float(image.max()))
+    return f"Wrapped({name}, {', '.join(_number(x) for x in (steepest, peak, *color, kt))})"
+
+
+def _finish(
+    ka: _Number, kd: _Number, ks: _Number, exponent: _Number, kgr: _Number, highlight: Highlight
+) -> str:
+    words = [f"ambient {_number(ka)} diffuse {_number(kd)}"]
+    if ks:
+        if exponent == 0:
+            # POV-Ray's phong is 0 where R.V < 0, also to the power 0; H.N is never negative there
+            words.append(f"specular {_number(ks)} roughness 1e10")
+        elif highlight == "blinn":
+            words.append(f"specular {_number(ks)} roughness {_number(1 / exponent)}")
+        else:
+            words.append(f"phong {_number(ks)} phong_size {_number(exponent)}")
+    if kgr:
+        words.append(f"reflection {{ {_number(kgr)} }}")
+    return f"finish {{ {' '.join(words)} }}"
+
+
+def _spheres(scene: Scene, eye: np.ndarray, highlight: Highlight) -> list[str]:
+    s: Spheres = scene.spheres
+    columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
+    lines = []
+    for row, pic in zip(_rows(*columns), s.pic, strict=True):
+        center, radius, color, ka, kd, ks, exponent, kgr, kt = row
+        kt = min(kt, kt.dtype.type(1 - _LEAST_OPACITY))
+        # POV-Ray dims ambient and diffuse light by 1 - kt, but not highlights and reflections
+        finish = _finish(ka / (1 - kt), kd / (1 - kt), ks, exponent, kgr, highlight)
+        if pic:
+            pigment = f"{_wrapped(f'Image{pic}', scene.textures[pic - 1], color, kt)}"
+            pigment += f" translate {_vector(center)}"
+        else:
+            pigment = f"rgbt {_vector([*color, kt])}" if kt else f"rgb {_vector(color)}"
+        ball = f"{_vector(center)}, {_number(radius)}"
+        surface = f"pigment {{ {pigment} }} {finish}"
+        if not kt:
+            lines.append(f"sphere {{ {ball} {surface} }}")
+            continue
+        inside = np.linalg.norm(center - eye) < radius
+        if inside:
+            far_wall = f"interior_texture {{ {surface} }}"
+        else:
+            far_wall = "interior_texture { pigment { rgbt 1 } finish { ambient 0 diffuse 0 } }"
+        seen = f"texture {{ {surface} }} {far_wall} interior {{ ior 1 }}"
+        lines += [
+            "// transparent: the far wall is not seen, and another sphere casts the full shadow",
+            f"sphere {{ {ball} {seen} no_shadow }}",
+            f"sphere {{ {ball} pigment {{ rgb 0 }} no_image no_reflection }}",
+        ]
+    return lines
+
+
+def _planes(planes: Planes, highlight: Highlight) -> list[str]:
+    p = planes
+    columns = (p.point, p.normal, p.color, p.ka, p.kd, p.ks, p.exponent, p.kgr)
+    lines = []
+    for row in _rows(*columns, p.checker_color, p.checker_size):
+        point, normal, color, ka, kd, ks, exponent, kgr, other_color, size = row
+        pigment = f"rgb {_vector(color)}"
+        if size:
+            pigment = f"checker rgb {_vector(color)}, rgb {_vector(other_color)}"
+            pigment += f" {_squares(point, normal, size)}"
+        finish = _finish(ka, kd, ks, exponent, kgr, highlight)
+        lines.append(_plane(point, normal, pigment, finish))
+    return lines
+
+
+def _plane(point: np.ndarray, normal: np.ndarray, pigment: str, finish: str) -> str:
+    point, normal = np.asarray(point, np.float64), np.asarray(normal, np.float64)
+    normal = normal / np.linalg.norm(normal)
+    height = _number(np.dot(point, normal))
+    return f"plane {{ {_vector(normal)}, {height} pigment {{ {pigment} }} {finish} }}"
+
+
+def _squares(point: np.ndarray, normal: np.ndarray, size: _Number) -> str:
+    """The matrix that lays POV-Ray's cubes of side 1 into a plane; see `texture.other_square`.
+
+    The plane cuts the cubes in their middle, as on their faces rounding would choose the colour.
+    """
+    n = np.asarray(normal, np.float64) / np.linalg.norm(normal.astype(np.float64))
+    x, y, z = np.abs(n)
+    axis = np.array([0.0, 1.0, 0.0] if x > y and x > z else [1.0, 0.0, 0.0])
+    along = axis - n * np.dot(axis, n)
+    along /= np.linalg.norm(along)
+    axes = size * np.stack([along, np.cross(n, along), n])
+    rows = [*axes.reshape(-1), *(point - axes[2] / 2)]
+    return f"matrix {_vector(rows)}"
+
+
+def _back_plane(scene: Scene) -> list[str]:
+    back = scene.back_plane
+    if back is None:
+        return []
+    frame = view_frame(scene.camera)
+    middle = frame.eye + frame.forward * scene.camera.distance
+    color, ka, kd = next(_rows(back.color[None], back.ka[None], back.kd[None]))
+    zero = kd.dtype.type(0)
+    return [
+        "// the view plane",
+        _plane(
+            _points(middle),
+            -_points(frame.forward),
+            f"rgb {_vector(color)}",
+            _finish(ka, kd, zero, zero, zero, "phong"),
+        ),
+    ]
