@@ -68,11 +68,13 @@ def fetch(table: T, ids: Ids) -> T:
     """The rows of a table that pixels ask for.
 
     **Arguments:** `table`: a pytree of arrays of shape `(objects,)`. `ids`: which row, shape
-    `(*pixels,)`; where it is -1 the answer is some row's.
+    `(*pixels,)`; where there is no such row the answer is some other's, of an empty table 0.
 
     **Returns:** the same pytree with arrays of shape `(*pixels,)`.
     """
     columns, shape = jax.tree.flatten(table)
+    if columns[0].size == 0:
+        return jax.tree.map(lambda column: jnp.zeros(ids.shape, column.dtype), table)
     return jax.tree.unflatten(shape, _fetch(columns, ids))
 
 
@@ -80,7 +82,7 @@ def fetch(table: T, ids: Ids) -> T:
 def _fetch(columns: list[Float[Array, " objects"]], ids: Ids) -> list[Plane]:
     if columns[0].shape[0] <= UNROLL:
         return [_select(list(column), ids) for column in columns]
-    row = jnp.maximum(ids, 0).astype(jnp.int32)
+    row = _within(ids, columns[0].shape[0])
     return [column.at[row].get(mode="promise_in_bounds") for column in columns]
 
 
@@ -91,9 +93,13 @@ def _fetch_jvp(primals, tangents):
     # masked sums per object and column take 5 to 30 times as long.
     rows = jnp.stack(tangents[0], axis=1)
     bin_ = jnp.arange(ids.size, dtype=jnp.int32).reshape(ids.shape) % SUB_BINS
-    at = jnp.maximum(ids, 0).astype(jnp.int32) + len(rows) * bin_
+    at = _within(ids, len(rows)) + len(rows) * bin_
     d = jnp.tile(rows, (SUB_BINS, 1)).at[at].get(mode="promise_in_bounds")
     return _fetch(columns, ids), [d[..., k] for k in range(len(columns))]
+
+
+def _within(ids: Ids, count: int) -> Ids:
+    return jnp.clip(ids, 0, count - 1).astype(jnp.int32)
 
 
 def _select(values: list[Scalar], ids: Ids) -> Plane:

@@ -71,8 +71,7 @@ def other_square(world: World, number: Ids, point: Vec) -> tuple[Mask, Vec]:
     Squares have a corner at the plane's point; their sides run along the world's x axis laid into
     the plane (y, where the normal is nearest to x) and across it.
     """
-    plane = jnp.clip(number - world.spheres, 0, world.planes - 1)
-    flat, checker = fetch((world.flats, world.checkers), plane)
+    flat, checker = fetch((world.flats, world.checkers), number - world.spheres)
     n = jax.lax.stop_gradient(flat.normal)
     steep = (jnp.abs(n.x) > jnp.abs(n.y)) & (jnp.abs(n.x) > jnp.abs(n.z))
     zero, one = jnp.zeros_like(n.x), jnp.ones_like(n.x)

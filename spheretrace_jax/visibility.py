@@ -27,7 +27,8 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
 
     **Arguments:** `leaving`: the hit that the rays start from, None for rays from the eye. Rays
     that leave the object outwards, or go straight on through it, skip it; rays that were mirrored
-    on the inside of a sphere may meet that sphere again, from inside.
+    on the inside of a sphere may meet that sphere again, from inside. Only the object just left is
+    skipped: what reflects light inside a bubble sees the bubble's wall from inside.
 
     **Returns:** per pixel the number of the object, -1 for none. Of objects equally near, the
     first.
@@ -75,9 +76,7 @@ def _nearer(best: tuple[Plane, Ids], t: Plane, number, skip: Mask | None) -> tup
 
 def _from_inside(world: World, ray: Ray, number: Ids, leaving: Hit | None) -> Mask:
     """Whether the sphere that a ray meets is met from inside: its near root lies behind."""
-    if not world.spheres:
-        return jnp.full(number.shape, False)
-    ball = fetch(world.balls, jnp.clip(number, 0, world.spheres - 1))
+    ball = fetch(world.balls, number)
     near, _ = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
     inside = ~(near > 0)
     if leaving is not None:

@@ -130,19 +130,16 @@ def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
 
     **Returns:** a `Surface`; where a ray hits nothing its numbers are finite but mean nothing.
     """
-    if not world.spheres:
-        return _on_plane(world, ray, hit)
-    ball = fetch(world.balls, _clip(hit.id, world.spheres))
+    ball = fetch(world.balls, hit.id)
     _, q = perpendicular(ray.origin, ray.direction, ball.center)
     half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
-    facing = half_chord / ball.radius
-    if hit.inside is None:
-        w = -q - ray.direction * half_chord
-        normal = w * (1 / ball.radius)
-    else:
-        w = -q - ray.direction * jnp.where(hit.inside, -half_chord, half_chord)
-        normal = w * jnp.where(hit.inside, -1 / ball.radius, 1 / ball.radius)
-    on_sphere = Surface(ball.center + w, normal, facing)
+    per_radius = 1 / jnp.where(ball.radius > 0, ball.radius, 1)
+    facing = half_chord * per_radius
+    if hit.inside is not None:
+        half_chord = jnp.where(hit.inside, -half_chord, half_chord)
+        per_radius = jnp.where(hit.inside, -per_radius, per_radius)
+    w = -q - ray.direction * half_chord
+    on_sphere = Surface(ball.center + w, w * per_radius, facing)
     if not needs.planes:
         return on_sphere
     on_plane = _on_plane(world, ray, hit)
@@ -155,7 +152,7 @@ def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
 
 
 def _on_plane(world: World, ray: Ray, hit: Hit) -> Surface:
-    flat = fetch(world.flats, _clip(hit.id - world.spheres, world.planes))
+    flat = fetch(world.flats, hit.id - world.spheres)
     slope = dot(ray.direction, flat.normal)
     crosses = (slope != 0) & (hit.id >= world.spheres)
     t = dot(flat.point - ray.origin, flat.normal) / jnp.where(crosses, slope, 1)
@@ -163,7 +160,3 @@ def _on_plane(world: World, ray: Ray, hit: Hit) -> Surface:
     return Surface(
         point, flat.normal * jnp.where(slope > 0, -1, 1).astype(slope.dtype), jnp.abs(slope)
     )
-
-
-def _clip(ids: Ids, count: int) -> Ids:
-    return jnp.clip(ids, 0, count - 1)

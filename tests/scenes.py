@@ -1,0 +1,72 @@
+"""Scenes that several tests share, each small and with one feature in its name."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import spheretrace_jax as st
+
+
+def _texture(seed: int) -> st.Texture:
+    return st.Texture(np.random.default_rng(seed).uniform(0.2, 1, (6, 12, 3)))
+
+
+def _spheres(**changes) -> st.Spheres:
+    parts = dict(
+        center=[[-60.0, -30, 0], [50, 40, -40], [10, -20, 90]],
+        radius=[60.0, 70, 25],
+        color=[[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
+        ka=[0.2, 0.15, 0.3],
+        kd=[0.6, 0.7, 0.5],
+        ks=[0.4, 0.2, 0.5],
+        exponent=[5.0, 20, 2],
+    )
+    return st.Spheres(**(parts | changes))
+
+
+WHITE = [[300.0, 350, 400]]
+TWO_LIGHTS = st.Lights([[300.0, 350, 400], [-250, 100, 300]], [[0.5, 0.6, 0.3], [0.4, 0.2, 0.5]])
+CAMERA = st.Camera(0.3, 0.4, 500.0, 900.0)
+TABLE = st.Planes([[0.0, 0, -80]], [[0.05, 0.1, 2]], (0.5, 0.4, 0.3), ks=0.3, exponent=8.0)
+
+SCENES = {
+    "diffuse": st.Scene(_spheres(ks=0.0), st.Lights([[0.0, 0, 900]]), CAMERA),
+    "shadows": st.Scene(_spheres(), st.Lights(WHITE), CAMERA),
+    "two_coloured_lights": st.Scene(_spheres(), TWO_LIGHTS, CAMERA),
+    "mirrors": st.Scene(_spheres(kgr=[0.5, 0.0, 0.3]), st.Lights(WHITE), CAMERA),
+    "bubbles": st.Scene(_spheres(kt=[0.0, 0.0, 0.6], kgr=[0.4, 0, 0]), st.Lights(WHITE), CAMERA),
+    "glass": st.Scene(_spheres(kt=[0.3, 0.0, 0.6], kgr=[0.4, 0.2, 0.2]), st.Lights(WHITE), CAMERA),
+    "planes": st.Scene(
+        _spheres(kgr=0.2),
+        st.Lights(WHITE),
+        CAMERA,
+        eqx.tree_at(
+            lambda p: (p.checker_color, p.checker_size, p.kgr),
+            TABLE,
+            (jnp.array([[0.9, 0.8, 0.1]]), jnp.array([37.0]), jnp.array([0.3])),
+        ),
+        back_plane=st.BackPlane((0.3, 0.5, 0.6)),
+    ),
+    "textures": st.Scene(
+        _spheres(pic=(1, 0, 2), kgr=[0.0, 0.4, 0]),
+        TWO_LIGHTS,
+        CAMERA,
+        textures=[_texture(1), _texture(2)],
+        background=(0.1, 0.2, 0.3),
+        sky=_texture(3),
+    ),
+    "inside": st.Scene(
+        st.Spheres([[0.0, 0, 0], [40, 60, 50]], [400.0, 50], ks=0.3, kgr=[0.3, 0.2]),
+        st.Lights([[150.0, -100, 100]]),
+        st.Camera(0.3, 0.7, 200.0, 300.0),
+    ),
+}
+
+
+def nine_spheres(light=(100.0, 900.0, 300.0), dtype=np.float64) -> st.Scene:
+    """The lecture's scene without its antialias flag; by default with a light that casts shadows."""
+    from pathlib import Path
+
+    scene = st.load_scene(Path(__file__).parent.parent / "data" / "nine_spheres.txt", dtype)
+    scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray([light], dtype))
+    return st.Scene(scene.spheres, scene.lights, scene.camera)
