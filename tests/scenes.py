@@ -35,7 +35,12 @@ SCENES = {
     "two_coloured_lights": st.Scene(_spheres(), TWO_LIGHTS, CAMERA),
     "mirrors": st.Scene(_spheres(kgr=[0.5, 0.0, 0.3]), st.Lights(WHITE), CAMERA),
     "bubbles": st.Scene(_spheres(kt=[0.0, 0.0, 0.6], kgr=[0.4, 0, 0]), st.Lights(WHITE), CAMERA),
-    "glass": st.Scene(_spheres(kt=[0.3, 0.0, 0.6], kgr=[0.4, 0.2, 0.2]), st.Lights(WHITE), CAMERA),
+    "glass": st.Scene(
+        _spheres(kt=[0.3, 0.0, 0.6], kgr=[0.4, 0.2, 0.2]),
+        st.Lights(WHITE),
+        CAMERA,
+        background=(0.1, 0.2, 0.3),
+    ),
     "planes": st.Scene(
         _spheres(kgr=0.2),
         st.Lights(WHITE),

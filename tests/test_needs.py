@@ -26,12 +26,13 @@ def needed(scene, **options) -> set[str]:
         ("two_coloured_lights", {"shadows", "highlights"}),
         ("mirrors", {"shadows", "highlights", "reflection"}),
         ("bubbles", {"shadows", "highlights", "reflection", "transmission", "inside"}),
-        ("glass", {"shadows", "highlights", "reflection", "transmission", "inside", "branching"}),
+        ("glass", {"shadows", "highlights", "reflection", "transmission", "inside", "branching",
+                   "background"}),
         ("planes", {"shadows", "highlights", "reflection", "planes", "checkers"}),
         ("textures", {"shadows", "highlights", "reflection", "textures", "background"}),
         ("inside", {"shadows", "highlights", "reflection", "inside"}),
     ],
-)
+)  # fmt: skip
 def test_needs_are_those_of_the_scene(name, expected):
     assert needed(SCENES[name]) == expected
 

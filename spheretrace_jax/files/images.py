@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from ..errors import PictureError
 from .atomic import replacing
@@ -85,12 +85,14 @@ def read_image(
         color = np.ascontiguousarray(pixels[..., :3])
     if not _is_linear(path, colorspace):
         color = _convert(color, _SRGB, _LINEAR)
+        if str(spec.format).startswith("uint"):
+            color = np.minimum(color, 1)  # the conversion gives 1.00002 for white
     return color if alpha is None or premultiplied else color * alpha
 
 
 def write_image(
     path: str | os.PathLike,
-    image: Float[np.ndarray, "height width 3"],
+    image: ArrayLike,
     *,
     colorspace: Colorspace = "auto",
     bits: int | None = None,
@@ -156,7 +158,7 @@ def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
         raise PictureError(f"{path}: there is no folder {path.parent} to write to")
 
 
-def to_srgb(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+def to_srgb(image: ArrayLike) -> Float[np.ndarray, "height width 3"]:
     """Linear RGB as sRGB numbers, for showing."""
     return _convert(np.asarray(image, np.float32), _LINEAR, _SRGB)
 
