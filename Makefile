@@ -4,22 +4,26 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow lint references clean
+.PHONY: demo test test-slow bench lint references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
 	@echo "look at spheretrace_demo/comparison.png"
 
-test: $(READY) lint
+test: $(READY)
 	$(BIN)/python -m pytest
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
+bench: $(READY)
+	$(BIN)/python tests/bench/picture.py
+
 lint: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[lint]'
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # needs POV-Ray 3.7 (Debian: povray)
 references: $(READY)

@@ -4,9 +4,11 @@ Errors that a user can cause are one line and exit status 2; a fit that did not 
 with 1, an interrupted one with 130.
 """
 
+import re
 import sys
 import time
 import warnings
+from collections.abc import Sized
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import resources
@@ -102,11 +104,12 @@ class FitCommand:
 
     def run(self) -> int:
         from . import load_scene, read_image, save_scene
+        from .files.atomic import check_place
         from .report import verdict
 
         free = tuple(name.strip() for name in self.free.split(",") if name.strip())
-        if not self.output.parent.is_dir():
-            raise InputError(f"{self.output}: there is no folder {self.output.parent} to write to")
+        check_place(self.output)
+        _check_folder(self.report)
         scene = load_scene(self.scene, self.dtype)
         target = read_image(self.target, self.colorspace)
         settings = dict(highlight=self.highlight, bounces=self.bounces, samples=self.samples)
@@ -126,6 +129,7 @@ class Info:
     scene: SceneFile
 
     def run(self) -> int:
+        from rich.box import SIMPLE_HEAD
         from rich.console import Console
         from rich.table import Table
 
@@ -136,9 +140,9 @@ class Info:
         console = Console()
         c, s = scene.camera, scene.spheres
         console.print(
-            f"{self.scene}: {len(s)} spheres, {len(scene.lights)} lights, {len(scene.planes)} planes"
-            f"{', the back plane' if scene.back_plane is not None else ''}, "
-            f"{len(scene.textures)} textures",
+            f"{self.scene}: {_some(s, 'sphere')}, {_some(scene.lights, 'light')}, "
+            f"{_some(scene.planes, 'plane')}, {_some(scene.textures, 'texture')}"
+            f"{', the back plane' if scene.back_plane is not None else ''}",
             highlight=False,
         )
         console.print(
@@ -150,8 +154,9 @@ class Info:
             text = f"light {i + 1}: at {_short(p)}, color {_short(color)}"
             console.print(text, highlight=False)
         table = Table(
-            "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic"
-        )
+            "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic",
+            box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+        )  # fmt: skip
         columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
         shown = min(len(s), 50)
         for i in range(shown):
@@ -159,7 +164,7 @@ class Info:
         console.print(table)
         if len(s) > shown:
             console.print(f"and {len(s) - shown} more spheres")
-        table = Table("feature", "computed", "why")
+        table = Table("feature", "computed", "why", box=SIMPLE_HEAD)
         for name, needed, why in left_out(scene):
             table.add_row(name, "yes" if needed else "left out", why)
         console.print(table)
@@ -205,6 +210,7 @@ class Demo:
         from .demo import wrong_start
         from .report import determined, verdict
 
+        _check_folder(self.output)
         data = _data_folder()
         truth = load_scene(data / "nine_spheres.txt", self.dtype)
         target = read_image(data / "nine_spheres.png")
@@ -242,6 +248,7 @@ def main() -> None:
     warnings.showwarning = _show_warning
     double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, Convert)
     try:
+        _check_counts(command)
         with jax.enable_x64(True) if double else nullcontext():
             status = command.run()
     except (InputError, OSError) as error:
@@ -271,16 +278,38 @@ def _show_warning(message, category, filename, lineno, file=None, line=None) -> 
 
 
 def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+    from .files.images import MOST_PIXELS
+
+    match = re.fullmatch(r"([1-9]\d{0,8})x([1-9]\d{0,8})", text, re.ASCII)
+    if not match:
         raise InputError(f"--size must be WIDTHxHEIGHT in pixels, such as 512x512, got {text!r}")
-    return int(width), int(height)
+    width, height = int(match[1]), int(match[2])
+    if width * height > MOST_PIXELS:
+        raise InputError(f"--size must be at most {MOST_PIXELS} pixels in all, got {text}")
+    return width, height
+
+
+def _check_counts(command) -> None:
+    for name, least in (("bounces", 0), ("samples", 1), ("max_steps", 1)):
+        value = getattr(command, name, None)
+        if value is not None and value < least:
+            raise InputError(f"--{name.replace('_', '-')} must be at least {least}, got {value}")
+
+
+def _check_folder(folder: Path | None) -> None:
+    """Says early that there is a file where a folder is to be."""
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder to write to, this is a file")
 
 
 def _short(value) -> str:
     import numpy as np
 
     return " ".join(f"{float(x):g}" for x in np.atleast_1d(np.asarray(value)))
+
+
+def _some(things: Sized, name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def _data_folder() -> Path:
@@ -313,7 +342,9 @@ def _fit_with_progress(scene, target, **settings):
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    hidden = not console.is_terminal  # where it would leave an empty line
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task("compiling", total=None)
 
         def show(state) -> None:

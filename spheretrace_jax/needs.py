@@ -9,8 +9,10 @@ import dataclasses
 from collections.abc import Iterable
 
 import jax
+import jax.core
 import numpy as np
 
+from .errors import InputError
 from .scene import Scene
 
 #: Samples along each side of a pixel for antialias 1, until edges are covered analytically.
@@ -50,10 +52,10 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
 
     **Returns:** the needs, to pass to `render(..., needs=...)`, also under jit, grad and vmap.
 
-    **Raises:** `ValueError` under a trace, where the numbers are not known.
+    **Raises:** `InputError` under a trace, where the numbers are not known.
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
-        raise ValueError(
+        raise InputError(
             "the needs of a scene depend on its numbers, which are not known under jit, grad or "
             "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
         )

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ._types import Highlight, Mask, Picture, Plane
 from .camera import Ray, pixel_rays
+from .errors import InputError
 from .needs import ANTIALIAS_SAMPLES, Needs, needs as needs_of
 from .phases import STRIP_PIXELS, UNROLL, fetch, materialise_pair
 from .scene import Scene
@@ -71,7 +72,7 @@ def render(
     **Returns:** linear RGB of shape `(height, width, 3)`, unclamped, in the scene's dtype. Row 0
     is the top.
 
-    **Raises:** `ValueError` for sizes, samples or bounces out of range and unknown highlights.
+    **Raises:** `InputError` for sizes, samples or bounces out of range and unknown highlights.
     """
     return _render(scene, options(scene, width, height, highlight, bounces, samples, needs))
 
@@ -88,11 +89,11 @@ def options(
     """Checks and completes the static arguments of `render`."""
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
         if value < least:
-            raise ValueError(f"{name} must be at least {least}, got {value}")
+            raise InputError(f"{name} must be at least {least}, got {value}")
     if samples is not None and samples < 1:
-        raise ValueError(f"samples must be at least 1, got {samples}")
+        raise InputError(f"samples must be at least 1, got {samples}")
     if highlight not in HIGHLIGHTS:
-        raise ValueError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
+        raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
     needs = needs_of(scene) if needs is None else needs
     samples = samples or (ANTIALIAS_SAMPLES if needs.antialias else 1)
     bounces = bounces if needs.bounces else 0
@@ -268,9 +269,9 @@ def surface_color(
     """S: the object's colour, under its texture or checker."""
     color = material.color
     if needs.textures:
-        flip = 1 if hit.inside is None else jnp.where(hit.inside, -1, 1).astype(scene.dtype)
+        outward = where(hit.inside, -surface.normal, surface.normal)
         images = tuple(t.image for t in scene.textures)
-        color = color * worn(hit.id, surface.normal * flip, images, scene.spheres.pic)
+        color = color * worn(hit.id, outward, images, scene.spheres.pic)
     if needs.checkers:
         other, checker_color = other_square(world, hit.id, surface.point)
         color = where(other, checker_color, color)

@@ -30,13 +30,13 @@ class Vec(eqx.Module):
     def __neg__(self) -> "Vec":
         return Vec(-self.x, -self.y, -self.z)
 
-    def __mul__(self, other: Union["Vec", Plane]) -> "Vec":
+    def __mul__(self, other: Union["Vec", Plane, float, int]) -> "Vec":
         """Scales by a plane; a product with another `Vec` is per component, as colours multiply."""
         if isinstance(other, Vec):
             return Vec(self.x * other.x, self.y * other.y, self.z * other.z)
         return Vec(self.x * other, self.y * other, self.z * other)
 
-    def __rmul__(self, other: Plane) -> "Vec":
+    def __rmul__(self, other: Plane | float | int) -> "Vec":
         return self * other
 
 

@@ -43,7 +43,7 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
         if not needs.inside:
             return _nearer(best, near, i, skip)
         t = jnp.where(near > 0, near, far)
-        if skip is not None:
+        if leaving is not None and skip is not None:
             t = jnp.where(skip & leaving.inside, far, t)
             skip = skip & ~leaving.inside
         return _nearer(best, t, i, skip)
@@ -63,7 +63,7 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
 
     number = materialise(phase, world.window)
     if not needs.inside:
-        return Hit(number, None)
+        return Hit(number, jnp.full(shape, False))
     return Hit(number, materialise(lambda: _from_inside(world, ray, number, leaving), world.window))
 
 

@@ -3,6 +3,8 @@
 The back plane is a plane like the others here, derived from the camera.
 """
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,9 @@ from .intersect import perpendicular
 from .needs import Needs
 from .phases import fetch
 from .scene import Scene
-from .vec import Vec, dot, safe_sqrt, unit, where
+from .vec import Vec, dot, safe_sqrt, unit, vec, where
+
+T = TypeVar("T")
 
 
 class Ball(eqx.Module):
@@ -54,7 +58,7 @@ class Hit(eqx.Module):
     """The discrete half of what a ray meets; it has no derivative."""
 
     id: Ids  #: which object, -1 for none
-    inside: Mask | None  #: whether it is a sphere seen from inside; None where that cannot be
+    inside: Mask  #: whether it is a sphere seen from inside
 
 
 class Surface(eqx.Module):
@@ -90,35 +94,29 @@ def _columns(array: Float[Array, "rows 3"]) -> Vec:
 def build_world(scene: Scene) -> World:
     """Lays out a scene for tracing."""
     s, p, back = scene.spheres, scene.planes, scene.back_plane
-    point, normal = _columns(p.point), unit(_columns(p.normal))
-    plane_rows = [p.color, p.ka, p.kd, p.ks, p.exponent, p.kgr]
-    checker_rows = [p.checker_color, p.checker_size]
-
-    def append(rows: list, more: list) -> list:
-        return [
-            jnp.concatenate([a, jnp.asarray(b, a.dtype)[None]])
-            for a, b in zip(rows, more, strict=True)
-        ]
-
+    flats = Flat(_columns(p.point), unit(_columns(p.normal)))
+    table = Material(_columns(p.color), p.ka, p.kd, p.ks, p.exponent, p.kgr, jnp.zeros_like(p.ka))
+    checkers = Checker(_columns(p.checker_color), p.checker_size)
     if back is not None:
-        frame = view_frame(scene.camera)
+        frame, zero = view_frame(scene.camera), jnp.zeros_like(back.ka)
         middle = frame.eye + frame.forward * scene.camera.distance
-        lengthen = lambda a, b: jnp.concatenate([a, b[None]])
-        point, normal = (
-            jax.tree.map(lengthen, a, b) for a, b in ((point, middle), (normal, -frame.forward))
-        )
-        plane_rows = append(plane_rows, [back.color, back.ka, back.kd, 0, 0, 0])
-        checker_rows = append(checker_rows, [jnp.zeros_like(back.color), 0])
-    sphere_rows = [s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr]
-    color, *rest = (jnp.concatenate([a, b]) for a, b in zip(sphere_rows, plane_rows, strict=True))
-    kt = jnp.concatenate([s.kt, jnp.zeros_like(plane_rows[1])])
+        flats = _append(flats, Flat(middle, -frame.forward))
+        matte = Material(vec(back.color), back.ka, back.kd, zero, zero, zero, zero)
+        table = _append(table, matte)
+        checkers = _append(checkers, Checker(Vec(zero, zero, zero), zero))
+    material = Material(_columns(s.color), s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
     return World(
         balls=Ball(_columns(s.center), s.radius),
-        flats=Flat(point, normal),
-        materials=Material(_columns(color), *rest, kt),
-        checkers=Checker(_columns(checker_rows[0]), checker_rows[1]),
+        flats=flats,
+        materials=jax.tree.map(lambda a, b: jnp.concatenate([a, b]), material, table),
+        checkers=checkers,
         window=scene.camera.window,
     )
+
+
+def _append(table: T, row: T) -> T:
+    """A table with one more row."""
+    return jax.tree.map(lambda column, value: jnp.append(column, value), table, row)
 
 
 def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
@@ -135,7 +133,7 @@ def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
     half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
     per_radius = 1 / jnp.where(ball.radius > 0, ball.radius, 1)
     facing = half_chord * per_radius
-    if hit.inside is not None:
+    if needs.inside:
         half_chord = jnp.where(hit.inside, -half_chord, half_chord)
         per_radius = jnp.where(hit.inside, -per_radius, per_radius)
     w = -q - ray.direction * half_chord

@@ -1,5 +1,7 @@
 """Scenes that several tests share, each small and with one feature in its name."""
 
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -69,9 +71,7 @@ SCENES = {
 
 
 def nine_spheres(light=(100.0, 900.0, 300.0), dtype=np.float64) -> st.Scene:
-    """The lecture's scene without its antialias flag; by default with a light that casts shadows."""
-    from pathlib import Path
-
+    """The lecture's scene, not antialiased; by default with a light that casts shadows."""
     scene = st.load_scene(Path(__file__).parent.parent / "data" / "nine_spheres.txt", dtype)
     scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray([light], dtype))
     return st.Scene(scene.spheres, scene.lights, scene.camera)

@@ -11,24 +11,54 @@ from pathlib import Path
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary file beside `path`, of the same ending, that takes its place when all went well.
 
-    **Raises:** `OSError` if the folder is missing or cannot be written to.
+    **Raises:** `OSError`, which names `path`, if the file cannot be written.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path}: there is no folder {path.parent} to write to")
-    if path.is_dir():
-        raise IsADirectoryError(f"{path}: expected a file to write, this is a folder")
-    handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=f".{path.stem}.", dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    check_place(path)
+    target = Path(os.path.realpath(path))  # a link stays a link
+    temporary = None
     try:
+        handle, name = tempfile.mkstemp(target.suffix, f".{target.stem[:32]}.", target.parent)
+        temporary = Path(name)
+        os.close(handle)
         yield temporary
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)  # mkstemp's 0600 would surprise whoever shares the folder
-        temporary.replace(path)
+        temporary.replace(target)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def check_place(path: str | os.PathLike) -> None:
+    """Says early whether a file can be written to `path`, before anything is computed.
+
+    **Raises:** `OSError` for missing and write-protected folders and what is no regular file.
+    """
+    path = Path(path)
+    folder = Path(os.path.realpath(path)).parent
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: expected a file to write, this is a folder")
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path}: expected a file to write, this is a device or a pipe")
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {path.parent} to write to")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(f"{path}: the folder {path.parent} cannot be written to")
+
+
+def reserve(file: Path, size: int) -> None:
+    """Finds out whether there is room for `size` bytes: for libraries that cope badly without.
+
+    **Raises:** `OSError` if there is not.
+    """
+    if hasattr(os, "posix_fallocate"):  # not on macOS and Windows
+        with open(file, "r+b") as opened:
+            os.posix_fallocate(opened.fileno(), 0, size)
 
 
 def write_text(path: str | os.PathLike, text: str) -> None:

@@ -6,18 +6,21 @@ caller says otherwise.
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from ..errors import PictureError
-from .atomic import replacing
+from ..errors import InputError, PictureError
+from .atomic import check_place, replacing, reserve
 
 Colorspace = Literal["auto", "linear", "srgb"]
 
 _LINEAR, _SRGB = "lin_rec709_scene", "srgb_rec709_scene"
+_CONFIG = "ocio://default"  # whatever the user's $OCIO says
 _FLOATING = (".exr", ".hdr")
 _WRITABLE = (".exr", ".hdr", ".png", ".ppm", ".tif", ".tiff", ".jpg", ".jpeg")
 _WRITING = {
@@ -26,12 +29,18 @@ _WRITING = {
     ".jpeg": {"compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".ppm": {"pnm:pfmflip": 0},  # OpenImageIO 3.2 would write integer PPM upside down as well
 }
+_HEADERS = 1 << 16  # bytes: more than any header takes
+_ANY_TEXT = (".exr", ".png")
+_SHORT_TEXT = 60_000  # bytes: JPEG ends the program on a text of 64 kB, TIFF cuts it off
 
 #: Larger pictures are refused before any memory is taken: a header may promise anything.
 MOST_PIXELS = 1 << 28
 
 
 def _is_linear(path: Path, colorspace: Colorspace) -> bool:
+    if colorspace not in get_args(Colorspace):
+        spaces = ", ".join(get_args(Colorspace))
+        raise InputError(f"colorspace must be one of {spaces}, got {colorspace!r}")
     return colorspace == "linear" or (colorspace == "auto" and path.suffix.lower() in _FLOATING)
 
 
@@ -50,11 +59,15 @@ def read_image(
     import OpenImageIO as oiio
 
     path = Path(path)
+    linear = _is_linear(path, colorspace)
+    if path.is_dir():
+        raise PictureError(f"{path}: expected a picture, this is a folder")
     if not path.is_file():
         raise PictureError(f"{path}: there is no such picture")
     hint = oiio.ImageSpec()
     hint.attribute("oiio:UnassociatedAlpha", 1)  # colour is decoded first, alpha multiplied after
-    source = oiio.ImageInput.open(str(path), hint)
+    with _silence():
+        source = oiio.ImageInput.open(str(path), hint)
     if source is None:
         raise PictureError(f"{path}: cannot be read as a picture: {_first_line(oiio.geterror())}")
     try:
@@ -69,8 +82,9 @@ def read_image(
             raise PictureError(
                 f"{path}: expected a picture of at most {MOST_PIXELS} pixels, got {size}"
             )
-        pixels = source.read_image(oiio.FLOAT)
-        if pixels is None:
+        with _silence():
+            pixels = source.read_image(oiio.FLOAT)
+        if pixels is None or source.has_error:  # of a JPEG cut short it gives pixels and an error
             raise PictureError(
                 f"{path}: cannot be read as a picture: {_first_line(source.geterror())}"
             )
@@ -83,10 +97,8 @@ def read_image(
         color = np.repeat(pixels[..., :1], 3, axis=-1)
     else:
         color = np.ascontiguousarray(pixels[..., :3])
-    if not _is_linear(path, colorspace):
+    if not linear:
         color = _convert(color, _SRGB, _LINEAR)
-        if str(spec.format).startswith("uint"):
-            color = np.minimum(color, 1)  # the conversion gives 1.00002 for white
     return color if alpha is None or premultiplied else color * alpha
 
 
@@ -108,7 +120,7 @@ def write_image(
     - `bits`: 8 (default) or 16 for PNG, PPM and TIFF; TIFF and EXR also 32, floating, which is the
       default for EXR.
     - `scene`: the text of a scene file to keep in the picture's metadata, beside the program's
-      version and the colour space.
+      version and the colour space. PPM and HDR hold no text, TIFF and JPEG none above 60 kB.
 
     **Raises:** `PictureError` for formats, bits and shapes that do not go; `OSError` if the file
     cannot be written.
@@ -133,9 +145,12 @@ def write_image(
     spec.attribute("Software", f"spheretrace_jax {__version__}")
     for name, value in _WRITING.get(ending, {}).items():
         spec.attribute(name, value)
-    if scene is not None:
-        spec.attribute("ImageDescription", scene)
+    text = "" if scene is None else scene
+    if text and (ending in _ANY_TEXT or len(text.encode()) <= _SHORT_TEXT):
+        spec.attribute("ImageDescription", text)
     with replacing(path) as temporary:
+        # on a full disk PNG's library would say nothing, and JPEG's would end the program
+        reserve(temporary, 2 * spec.image_bytes() + len(text.encode()) + _HEADERS)
         sink = oiio.ImageOutput.create(str(temporary))
         if sink is None or not sink.open(str(temporary), spec):
             raise PictureError(f"{path}: cannot be written: {_first_line(oiio.geterror())}")
@@ -146,7 +161,8 @@ def write_image(
 def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
     """Says early whether `write_image` can write such a file, before anything is computed.
 
-    **Raises:** `PictureError` for formats, bits and folders that do not go.
+    **Raises:** `PictureError` for formats and bits that do not go; `OSError` if there is no place
+    for the file.
     """
     path = Path(path)
     ending = path.suffix.lower()
@@ -154,8 +170,7 @@ def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
         formats = ", ".join(_WRITABLE)
         raise PictureError(f"{path}: expected a picture file ({formats}), got {ending!r}")
     _kind(path, ending, bits)
-    if not path.parent.is_dir():
-        raise PictureError(f"{path}: there is no folder {path.parent} to write to")
+    check_place(path)
 
 
 def to_srgb(image: ArrayLike) -> Float[np.ndarray, "height width 3"]:
@@ -182,13 +197,33 @@ def _kind(path: Path, ending: str, bits: int | None) -> str:
 def _convert(pixels: np.ndarray, source: str, target: str) -> np.ndarray:
     import OpenImageIO as oiio
 
+    # OpenColorIO's fast powers are wrong by 2.5e-5, more than a step of 16 bits
+    os.environ.setdefault("OCIO_OPTIMIZATION_FLAGS", "0")
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "float")
     buffer = oiio.ImageBuf(spec)
     buffer.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
-    converted = oiio.ImageBufAlgo.colorconvert(buffer, source, target)
+    converted = oiio.ImageBufAlgo.colorconvert(buffer, source, target, colorconfig=_CONFIG)
     if converted.has_error:
         raise PictureError(f"cannot convert colours: {_first_line(converted.geterror())}")
     return np.asarray(converted.get_pixels(oiio.FLOAT), np.float32)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keeps libpng's own complaint from the terminal: the error that is raised says the same."""
+    try:
+        terminal = os.dup(2)
+    except OSError:  # there is none
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(terminal, 2)
+        os.close(terminal)
+        os.close(nowhere)
 
 
 def _first_line(message: str) -> str:

@@ -30,6 +30,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unicodedata import category
 
 import jax
 import numpy as np
@@ -74,7 +75,10 @@ def save_scene(path: str | os.PathLike, scene: Scene) -> None:
     for textures that are in no file; `OSError` if the file cannot be written.
     """
     text = scene_text(scene, Path(path).parent)
-    _Reader(os.fspath(path), text, scene.dtype).read()  # what could not be read is not written
+    try:
+        _Reader(os.fspath(path), text, scene.dtype).read()
+    except SceneError as error:
+        raise SceneError(f"cannot write a scene that could not be read: {error}") from None
     write_text(path, text)
 
 
@@ -96,8 +100,8 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
     for *row, pic in zip(*(np.asarray(x) for x in columns), s.pic, strict=True):
         lines.append(f"{_words(*row)} {pic}")
     lines += [f"texture {_file(t, folder)}" for t in scene.textures]
-    if np.any(np.asarray(scene.background)):
-        lines.append(f"background {_words(scene.background)}")
+    if (words := _words(scene.background)) != "0.0 0.0 0.0":
+        lines.append(f"background {words}")
     if scene.sky is not None:
         lines.append(f"background_image {_file(scene.sky, folder)}")
     if (back := scene.back_plane) is not None:
@@ -120,11 +124,11 @@ def _file(texture: Texture, folder: str | os.PathLike) -> str:
     if not texture.file:
         raise SceneError("a texture is in no file: write it with write_image and name that file")
     name = Path(os.path.relpath(texture.file, folder)).as_posix()
-    if any(c in name for c in '"\r\n'):
+    if any(c == '"' or category(c) in ("Cc", "Cs") for c in name):
         raise SceneError(
-            f"a scene file cannot name the picture {name!r}: it has a quote or a newline"
+            f"a scene file cannot name the picture {name!r}: it has a quote or a control character"
         )
-    return f'"{name}"' if " " in name or "//" in name else name
+    return f'"{name}"' if any(c.isspace() for c in name) else name
 
 
 def _floating(dtype: Any) -> np.dtype:
@@ -221,7 +225,8 @@ class _Reader:
         while (word := tokens.take()).text:
             if word.text not in self._KEYWORDS:
                 known = ", ".join(self._KEYWORDS)
-                after = f"after {len(self.spheres)} spheres"
+                n = len(self.spheres)
+                after = "after 1 sphere" if n == 1 else f"after {n} spheres"
                 tokens.fail(
                     word, f"expected the end of the file {after}, or one of {known}, got {word}"
                 )
@@ -232,7 +237,11 @@ class _Reader:
             read(self, tokens.rest(counts, word.text))
 
     def _file(self, token: Token) -> tuple[Token, str]:
-        name = token.text.strip('"')
+        name = token.text
+        if name.startswith('"'):
+            if len(name) == 1 or not name.endswith('"'):
+                self.tokens.fail(token, f"expected a closing quote, got {token}")
+            name = name[1:-1]
         if not name:
             self.tokens.fail(token, f"expected the name of a picture, got {token}")
         return token, name
@@ -286,17 +295,23 @@ def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
         try:
             return Texture(read_image(file), file)
         except PictureError as error:
-            parts.tokens.fail(token, f"expected a picture, got {name}: {error}")
+            reason = str(error).removeprefix(f"{file}: ")
+            parts.tokens.fail(token, f"expected a picture, got {name}: {reason}")
 
     spheres, lights = table(parts.spheres, 13), table(parts.lights, 6)
     planes, back = table(parts.planes, 18), parts.back_plane
     pics = [pic for _, pic in parts.pics]
     return Scene(
-        Spheres(spheres[:, :3], spheres[:, 3], spheres[:, 4:7], *spheres[:, 7:].T, pics),
+        Spheres(spheres[:, :3], spheres[:, 3], spheres[:, 4:7], *spheres[:, 7:].T, pic=pics),
         Lights(lights[:, :3], lights[:, 3:]),
         Camera(*np.asarray([*parts.view, parts.window], dtype)),
         Planes(
-            *np.split(planes[:, :9], 3, axis=1), *planes[:, 9:14].T, planes[:, 14:17], planes[:, 17]
+            planes[:, :3],
+            planes[:, 3:6],
+            planes[:, 6:9],
+            *planes[:, 9:14].T,
+            checker_color=planes[:, 14:17],
+            checker_size=planes[:, 17],
         ),
         textures=[texture(place) for place in parts.files],
         background=np.asarray(parts.background, dtype),

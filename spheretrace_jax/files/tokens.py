@@ -9,9 +9,10 @@ import numpy as np
 from ..errors import SceneError
 
 _WORD = re.compile(
-    r'//[^\r\n]*|(?P<newline>\r\n|\r|\n)|(?P<word>"[^"\r\n]*"|(?:[^\s"/]+|/(?!/))+|")'
+    r'//[^\r\n]*|(?P<newline>\r\n|\r|\n)|(?P<word>"[^"\r\n]*"?|(?:[^\s"/]+|/(?!/))+)'
 )
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_COUNT = re.compile(r"\+?\d{1,18}", re.ASCII)
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
 
@@ -83,9 +84,8 @@ class Tokens:
         self.end_line(row)
         if had + len(tokens) not in counts:
             end = Token("", self.last.line, self.last.column + len(self.last.text))
-            wanted = " or ".join(map(str, counts))
-            got = had + len(tokens)
-            self.fail(end, f"expected {wanted} columns for {row}, got {got}")
+            wanted = "1 column" if counts == (1,) else f"{' or '.join(map(str, counts))} columns"
+            self.fail(end, f"expected {wanted} for {row}, got {had + len(tokens)}")
         return tokens
 
     def number(self, token: Token, what: str) -> float:
@@ -113,7 +113,7 @@ class Tokens:
 
     def count(self, token: Token, what: str) -> int:
         """A whole number from 0."""
-        if not re.fullmatch(r"\+?\d{1,18}", token.text):
+        if not _COUNT.fullmatch(token.text):
             self.fail(token, f"expected {what}, a whole number from 0, got {token}")
         return int(token.text)
 

@@ -71,7 +71,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     rtol: float
     atol: float
     norm: Callable[[PyTree], Scalar]
-    descent: BoundedDescent
+    descent: optx.AbstractDescent
     search: optx.AbstractSearch
     verbose: Callable[..., None]
 

@@ -1,6 +1,7 @@
 """From a scene and a picture to the scene that looks like the picture."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -98,14 +99,17 @@ def fit(
     goal = make_target(target, scene.dtype)
     height, width, _ = goal.image.shape
     wanted = needs(scene, free=free)
-    settings = dict(highlight=highlight, bounces=bounces, samples=samples, needs=wanted)
-    render_options(scene, width, height, **settings)  # complains before anything is compiled
+    # complains before anything is compiled
+    render_options(scene, width, height, highlight, bounces, samples, wanted)
+    draw = partial(
+        render, width=width, height=height, highlight=highlight, bounces=bounces, samples=samples,
+        needs=wanted,
+    )  # fmt: skip
     scale = length_scale(scene)
 
     def residual(values: Values, args: tuple) -> tuple[Array, None]:
         scene, scale, goal = args
-        picture = render(to_scene(scene, values, scale), width=width, height=height, **settings)
-        return goal.residual(picture), None
+        return goal.residual(draw(to_scene(scene, values, scale))), None
 
     tolerance = 1e-10 if scene.dtype == jnp.float64 else 1e-6
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
@@ -139,7 +143,7 @@ class _Run:
 
     def solve(self, values: Values, max_steps: int, callback: Callable | None):
         """**Returns:** the best values, the solver's result, and whether it was interrupted."""
-        problem = dict(fn=self.residual, options={}, tags=frozenset())
+        problem: dict[str, Any] = dict(fn=self.residual, options={}, tags=frozenset())
         step = eqx.filter_jit(eqx.Partial(self.solver.step, **problem))
         problem["args"] = self.args
         shape, _ = jax.eval_shape(self.residual, values, self.args)

@@ -1,11 +1,13 @@
 """Derivatives against one another: forward mode, reverse mode and central differences."""
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._types import Highlight
 from ..needs import Needs, needs as needs_of
 from ..render import render
 from ..scene import Scene
@@ -57,7 +59,7 @@ def check_gradients(
     *,
     width: int = 64,
     height: int = 64,
-    highlight: str = "phong",
+    highlight: Highlight = "phong",
     bounces: int = 5,
     samples: int | None = None,
     needs: Needs | None = None,
@@ -80,8 +82,10 @@ def check_gradients(
         scene = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), scene)
         if needs is None:
             needs = needs_of(scene, free=("ks", "kgr", "kt", "background"))
-        settings = dict(width=width, height=height, highlight=highlight, bounces=bounces)
-        picture = lambda s: render(s, **settings, samples=samples, needs=needs)
+        picture = partial(
+            render, width=width, height=height, highlight=highlight, bounces=bounces,
+            samples=samples, needs=needs,
+        )  # fmt: skip
         forward = jax.jit(lambda s, ds: jax.jvp(picture, (s,), (ds,)))
         rng = np.random.default_rng(seed)
         still = jax.tree.map(jnp.zeros_like, scene)
