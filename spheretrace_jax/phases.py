@@ -115,5 +115,5 @@ def _select(values: list[Scalar], ids: Ids) -> Plane:
 
 
 def smallest_int(count: int) -> jnp.dtype:
-    """The smallest signed integer type that numbers `count` objects and -1."""
-    return jnp.dtype(jnp.int8 if count <= 128 else jnp.int16 if count <= 1 << 15 else jnp.int32)
+    """The smallest signed integer type that holds -1 and all numbers up to `count`."""
+    return jnp.dtype(jnp.int8 if count < 1 << 7 else jnp.int16 if count < 1 << 15 else jnp.int32)

@@ -57,9 +57,10 @@ def worn(number: Ids, outward: Vec, images: tuple, pic: tuple[int, ...]) -> Vec:
     u, v = sphere_uv(outward)
     one = jnp.ones_like(u)
     factor = Vec(one, one, one)
-    # an extra entry keeps the table from being empty; no number points at it
+    # the last entry is for all that is no sphere
     table = jnp.asarray((*pic, 0), jnp.int32)
-    which = jnp.where((number >= 0) & (number < len(pic)), table[jnp.clip(number, 0, len(pic))], 0)
+    sphere = (number >= 0) & (number < len(pic))
+    which = table[jnp.where(sphere, number.astype(jnp.int32), len(pic))]
     for k in sorted(set(pic) - {0}):
         factor = where(which == k, lookup(images[k - 1], u, v), factor)
     return factor

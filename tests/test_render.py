@@ -155,6 +155,21 @@ def test_many_lights_and_many_spheres_loop_to_the_same_picture():
     np.testing.assert_allclose(a, b, atol=1e-13)
 
 
+@pytest.mark.parametrize("count", [127, 128, 129, 300])
+def test_objects_are_numbered_without_overflow(count):
+    behind = np.arange(count)[::-1]  # the last sphere is in the middle of the picture
+    center = np.stack([30.0 * (behind % 10), 30.0 * (behind // 10), 0 * behind], axis=1)
+    scene = st.Scene(st.Spheres(center, 10.0, pic=0), st.Lights([[0.0, 0, 900]]))
+    picture = st.render(scene, width=64, height=64, needs=st.Needs(), bounces=0, samples=1)
+    lean = st.render(scene, width=64, height=64, bounces=0)
+    np.testing.assert_allclose(picture, lean, atol=1e-13)
+    last = st.render(
+        eqx.tree_at(lambda s: s.spheres.color, scene, jnp.zeros((count, 3)).at[-1].set(1.0)),
+        width=64, height=64,
+    )  # fmt: skip
+    assert 0 < np.count_nonzero(last.max(-1)) < 64
+
+
 def test_new_numbers_never_compile_again(monkeypatch):
     traced = []
     inner = module.build_world

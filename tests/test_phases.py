@@ -1,0 +1,52 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from spheretrace_jax.phases import UNROLL, fetch, materialise, materialise_pair, over, smallest_int
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 9, UNROLL, UNROLL + 1, 200])
+def test_fetching_rows_and_its_derivatives_are_those_of_indexing(count):
+    rng = np.random.default_rng(count)
+    table = (jnp.asarray(rng.standard_normal(count)), jnp.asarray(rng.standard_normal(count)))
+    ids = jnp.asarray(rng.integers(0, count, (5, 40)), smallest_int(count))
+    weights = jnp.asarray(rng.standard_normal((5, 40)))
+    mix = lambda a, b: jnp.sum(weights * a**2 * b)
+    ours = lambda t: mix(*fetch(t, ids))
+    plain = lambda t: mix(t[0][ids], t[1][ids])
+    np.testing.assert_allclose(ours(table), plain(table), rtol=1e-14)
+    for a, b in zip(jax.grad(ours)(table), jax.grad(plain)(table), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-12)
+    tangent = (jnp.ones(count), -jnp.ones(count))
+    pushed = [jax.jvp(f, (table,), (tangent,))[1] for f in (ours, plain)]
+    np.testing.assert_allclose(*pushed, rtol=1e-11)
+
+
+def test_rows_that_do_not_exist_give_finite_numbers():
+    ids = jnp.array([-1, 5, 100], jnp.int8)
+    for count in (0, 1, 3, 40):
+        (column,) = fetch((jnp.arange(float(count)),), ids)
+        assert np.isfinite(column).all()
+
+
+@pytest.mark.parametrize("count", [0, 3, UNROLL + 5])
+def test_short_and_long_loops_run_as_often(count):
+    assert over(count, lambda i, total: total + i, jnp.array(0)) == sum(range(count))
+
+
+def test_a_materialised_phase_has_its_value_and_derivative():
+    witness = jnp.array(512.0)
+    double = jax.jit(lambda x: materialise(lambda: 2 * x, witness))
+    assert double(jnp.array(3.0)) == 6 and jax.grad(double)(jnp.array(3.0)) == 2
+    pair = lambda x: materialise_pair(lambda: (x**2, 3 * x), witness)
+    assert pair(jnp.array(2.0)) == (4, 6)
+    assert jax.grad(lambda x: sum(pair(x)))(jnp.array(2.0)) == 7
+
+
+@pytest.mark.parametrize(
+    ("count", "dtype"), [(127, "int8"), (128, "int16"), (32767, "int16"), (32768, "int32")]
+)
+def test_numbers_of_objects_fit_their_type(count, dtype):
+    assert smallest_int(count) == dtype
+    assert jnp.asarray(count, smallest_int(count)) == count
