@@ -106,15 +106,13 @@ def _eye_is_inside(scene: Scene) -> bool:
 def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
     """Each feature, whether `scene` needs it, and why (or why not): what `info` prints."""
     n = needs(scene)
-    objects = len(scene.spheres) + len(scene.planes) + (scene.back_plane is not None)
-    lights = len(scene.lights)
-    nothing_between = f"{objects} object{'' if objects == 1 else 's'}: nothing can stand between"
+    lit = len(scene.lights) > 0
     table = {
         "shadows": (
-            f"{objects} objects, {lights} lights",
-            nothing_between if lights else "no lights",
+            "an object may stand between another and a light",
+            "nothing can stand between an object and a light" if lit else "no lights",
         ),
-        "highlights": ("some ks > 0", "every ks is 0" if lights else "no lights"),
+        "highlights": ("some ks > 0", "every ks is 0" if lit else "no lights"),
         "inside": ("the eye is in a sphere, or light passes one", "no ray starts inside a sphere"),
         "reflection": ("some kgr > 0", "every kgr is 0"),
         "transmission": ("some kt > 0", "every kt is 0"),
