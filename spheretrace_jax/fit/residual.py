@@ -8,8 +8,9 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from .._types import Picture
 from ..errors import PictureError
 
-# White in 8 and 16 bits is read as 1; the next number below it in 16 bits is 1 - 1e-5.
-_NEARLY_WHITE = 1 - 5e-6
+# White in 8 and 16 bits is read as 1, give or take the rounding of the conversion to linear light;
+# the next number below it in 16 bits is 1 - 3e-5.
+_NEARLY_WHITE, _WHITE = 1 - 1e-5, 1 + 5e-5
 
 
 class Target(eqx.Module):
@@ -38,5 +39,5 @@ def make_target(image: ArrayLike, dtype: np.dtype) -> Target:
     wild = int(np.count_nonzero(~np.isfinite(pixels)))
     if wild:
         raise PictureError(f"the target must be finite, got {wild} numbers that are nan or inf")
-    clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= 1)
+    clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= _WHITE)
     return Target(jnp.asarray(pixels, dtype), jnp.asarray(~clipped))
