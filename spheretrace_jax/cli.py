@@ -85,8 +85,13 @@ class FitCommand:
         Path, arg(aliases=["-o"], metavar="FITTED.txt", help="the scene file to write")
     ]
     free: Annotated[
-        str, arg(metavar="NAMES", help="what to fit, with commas: color, ka, kd, ks, exponent, kgr, kt, light_position, light_color")
-    ] = "color,ka,kd,ks,light_position"  # fmt: skip
+        str,
+        arg(
+            metavar="NAMES",
+            help="what to fit, with commas: color, ka, kd, ks, exponent, kgr, kt, "
+            "light_position, light_color",
+        ),
+    ] = "color,ka,kd,ks,light_position"
     highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
     bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
     samples: Annotated[
@@ -186,7 +191,10 @@ class Convert:
         if self.output.suffix != ".pov":
             raise InputError(f"{self.output}: expected a file that ends in .pov")
         scene = load_scene(self.scene, "float64" if _x64() else "float32")
-        write_povray(self.output, scene, highlight=self.highlight, bounces=self.bounces)
+        write_povray(
+            self.output, scene, highlight=self.highlight, bounces=self.bounces,
+            scene_path=self.scene,
+        )  # fmt: skip
         print(
             f"{self.output}: render it with povray +W512 +H512 -A +FN16 File_Gamma=1 {self.output}"
         )

@@ -57,7 +57,7 @@ def parameter_table(start: Scene, fitted: Scene, free: tuple[str, ...]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _numbers(value: np.ndarray) -> str:
+def _numbers(value: np.ndarray | np.floating) -> str:
     return " ".join(f"{float(x):.6g}" for x in np.atleast_1d(value))
 
 
@@ -109,7 +109,7 @@ def _figure(width: float, height: float):
 def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
     from .files.images import to_srgb
 
-    figure = _figure(13, 3.6)
+    figure = _figure(13.0, 3.6)
     axes = figure.subplots(1, 4)
     pictures = {"target": target, "start": before, "fit": after}
     for ax, (title, picture) in zip(axes, pictures.items(), strict=False):
@@ -128,7 +128,7 @@ def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
 
 
 def _cost_curve(fit: Fit):
-    figure = _figure(5, 3.6)
+    figure = _figure(5.0, 3.6)
     ax = figure.subplots()
     ax.semilogy(np.arange(1, len(fit.costs) + 1), fit.costs, marker="o")
     ax.set(xlabel="step", ylabel="cost (half the sum of squares)", title="Levenberg-Marquardt")

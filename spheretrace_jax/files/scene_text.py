@@ -157,6 +157,7 @@ class _Reader:
         self.pics: list[tuple[Token, int]] = []
         self.warnings: list[str] = []
 
+    @np.errstate(over="ignore")  # what is too large for float32 becomes inf, and is refused
     def read(self) -> "_Reader":
         tokens = self.tokens
         if not tokens.peek.text:
@@ -304,7 +305,7 @@ def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
     return Scene(
         Spheres(spheres[:, :3], spheres[:, 3], spheres[:, 4:7], *spheres[:, 7:].T, pic=pics),
         Lights(lights[:, :3], lights[:, 3:]),
-        Camera(*np.asarray([*parts.view, parts.window], dtype)),
+        Camera(*(np.asarray(value, dtype) for value in (*parts.view, parts.window))),
         Planes(
             planes[:, :3],
             planes[:, 3:6],

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from math import isfinite
 from typing import NoReturn
 
 import numpy as np
@@ -78,8 +79,8 @@ class Tokens:
         **Arguments:** `counts`: how many columns the `row` may have in all. `had`: how many of
         them were taken before.
         """
-        tokens = []
-        while not self.line_ends and had + len(tokens) < max(counts):
+        tokens, room = [], max(counts) - had
+        while len(tokens) < room and not self.line_ends:
             tokens.append(self.take())
         self.end_line(row)
         if had + len(tokens) not in counts:
@@ -92,9 +93,8 @@ class Tokens:
         """The finite number that `token` spells, rounded to the file's dtype."""
         if len(token.text) > 400 or not _NUMBER.fullmatch(token.text):
             self.fail(token, f"expected {what}, a number, got {token}")
-        with np.errstate(over="ignore"):
-            value = float(self.dtype.type(float(token.text)))
-        if not np.isfinite(value):
+        value = float(self.dtype.type(float(token.text)))
+        if not isfinite(value):
             self.fail(token, f"{what} must be finite in {self.dtype}, got {token}")
         return value
 

@@ -1,0 +1,452 @@
+"""The command line, run inside the test's own process but for what only another one can show."""
+
+import os
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+import spheretrace_jax as st
+from spheretrace_jax import cli
+
+TEXT = """\
+-.01 .01 500 800 // theta phi mu distance
+0
+1
+100 500 800
+2
+-90 0 0 80  .9 .3 .1  .2 .6 .3   8  0 0 0
+ 90 0 0 70  .2 .4 .8  .3 .5 .4  12  0 0 0
+"""
+SIZE = dict(width=32, height=24)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """A folder to work in, with a scene, its picture and some files that are no good."""
+    monkeypatch.chdir(tmp_path)
+    Path("scene.txt").write_text(TEXT)
+    Path("bad.txt").write_text(TEXT.replace("90 0 0 80", "90 0 0 -80"))
+    Path("target.exr").write_bytes(_target(tmp_path))
+    Path("cut.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR")
+    Path("words.png").write_text("no picture\n")
+    return tmp_path
+
+
+def _target(folder: Path, made: list[bytes] = []) -> bytes:  # noqa: B006 (rendered once)
+    if not made:
+        scene = st.load_scene("scene.txt", np.float64)
+        st.write_image(folder / "x.exr", st.render(scene, width=24, height=24))
+        made.append((folder / "x.exr").read_bytes())
+        (folder / "x.exr").unlink()
+    return made[0]
+
+
+@pytest.fixture
+def spheretrace(folder, monkeypatch, capfd):
+    """Runs the program: `(status, stdout, stderr)`."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["spheretrace", *map(str, words)])
+        with warnings.catch_warnings(), pytest.raises(SystemExit) as end:
+            warnings.simplefilter("always")
+            cli.main()
+        out, err = capfd.readouterr()
+        return end.value.code or 0, out, err
+
+    return run
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+# --- render ---------------------------------------------------------------------------------------
+
+RENDER = ("render", "scene.txt", "-o", "out.exr", "--size", "32x24")
+
+
+def test_render_writes_what_render_returns_and_each_option_matters(spheretrace):
+    Path("scene.txt").write_text(TEXT.replace("8  0 0 0", "8 .5 0 0"))
+    scene = st.load_scene("scene.txt", np.float32)
+    pictures = []
+    for words in ([], ["--highlight", "blinn"], ["--bounces", "0"], ["--samples", "3"]):
+        status, out, err = spheretrace(*RENDER, *words)
+        assert (status, err) == (0, "")
+        assert re.fullmatch(r"out\.exr: 32 x 24, \d+\.\d\d s with compilation\n", out)
+        options = {n.removeprefix("--"): v for n, v in zip(words[::2], words[1::2], strict=True)}
+        options = {n: int(v) if v.isdigit() else v for n, v in options.items()}
+        pictures.append(st.read_image("out.exr"))
+        np.testing.assert_array_equal(pictures[-1], st.render(scene, **SIZE, **options))
+    for i, picture in enumerate(pictures):
+        assert all(np.abs(picture - other).max() > 0.01 for other in pictures[:i])
+
+
+def test_render_in_float64_is_the_picture_rounded_once(spheretrace):
+    assert spheretrace(*RENDER, "--dtype", "float64")[0] == 0
+    exact = np.asarray(st.render(st.load_scene("scene.txt", np.float64), **SIZE))
+    np.testing.assert_array_equal(st.read_image("out.exr"), exact.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "kind", "linear"),
+    [
+        ("out.png", (), "uint8", False),
+        ("out.png", ("--bits", "16"), "uint16", False),
+        ("out.png", ("--colorspace", "linear"), "uint8", True),
+        ("out.exr", (), "float", True),
+        ("out.exr", ("--bits", "16"), "half", True),
+        ("out.exr", ("--colorspace", "srgb"), "float", False),
+        ("out.tif", ("--bits", "32"), "float", False),
+        ("out.ppm", (), "uint8", False),
+    ],
+)
+def test_render_writes_numbers_as_it_is_told(name, words, kind, linear, spheretrace):
+    assert spheretrace("render", "scene.txt", "-o", name, "--size", "32x24", *words)[0] == 0
+    source = oiio.ImageInput.open(name)
+    assert str(source.spec().format) == kind
+    exact = np.asarray(st.render(st.load_scene("scene.txt", np.float32), **SIZE))
+    found = st.read_image(name, "linear" if linear else "srgb")
+    np.testing.assert_allclose(found, np.clip(exact, 0, 1), rtol=0, atol=0.5 / 255 * 2.3)
+
+
+def test_a_rendered_picture_holds_its_scene(spheretrace, folder):
+    assert spheretrace(*RENDER)[0] == 0
+    text = oiio.ImageInput.open("out.exr").spec().getattribute("ImageDescription")
+    Path("again.txt").write_text(text)
+    assert eqx.tree_equal(st.load_scene("again.txt"), st.load_scene("scene.txt"))
+
+
+def test_a_broken_rule_of_the_lecture_is_one_line_of_warning(spheretrace):
+    Path("scene.txt").write_text(TEXT.replace(".6 .3", ".9 .3"))
+    status, out, err = spheretrace(*RENDER)
+    rule = "scene.txt:6:23: ka + kd is 1.1, the lecture's rule is at most 1"
+    assert (status, err) == (0, f"spheretrace: warning: {rule}\n") and out
+
+
+# --- info and convert -----------------------------------------------------------------------------
+
+
+def test_info_shows_the_scene_and_what_is_left_out_and_why(spheretrace):
+    status, out, err = spheretrace("info", "scene.txt")
+    assert (status, err) == (0, "")
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert lines[:3] == [
+        "scene.txt: 2 spheres, 1 light, 0 planes, 0 textures",
+        "camera: theta -0.01, phi 0.01, mu 500, distance 800, window 512",
+        "light 1: at 100 500 800, color 1 1 1",
+    ]
+    assert "1 -90 0 0 80 0.9 0.3 0.1 0.2 0.6 0.3 8 0 0 0" in lines
+    assert "2 90 0 0 70 0.2 0.4 0.8 0.3 0.5 0.4 12 0 0 0" in lines
+    assert "highlights yes some ks > 0" in lines
+    assert "reflection left out every kgr is 0" in lines
+
+
+def test_info_shows_the_first_of_many_spheres(spheretrace):
+    Path("scene.txt").write_text("0 0 9 9\n0\n0\n60\n" + "1 2 3 4 1 1 1 .2 .7 0 1 0 0 0\n" * 60)
+    status, out, _ = spheretrace("info", "scene.txt")
+    assert status == 0 and "and 10 more spheres" in out
+
+
+def test_convert_writes_a_scene_for_povray(spheretrace):
+    status, out, err = spheretrace("convert", "scene.txt", "out.pov", "--highlight", "blinn")
+    assert (status, err) == (0, "")
+    assert out.startswith("out.pov: render it with povray ")
+    text = Path("out.pov").read_text()
+    assert text.startswith("// made from scene.txt\n") and text.count("sphere {") == 2
+    assert "specular" in text
+
+
+# --- fit ------------------------------------------------------------------------------------------
+
+FIT = ("fit", "start.txt", "target.exr", "-o", "fitted.txt", "--dtype", "float64")
+
+
+@pytest.fixture
+def start(folder) -> st.Scene:
+    """Writes start.txt, whose coefficients are wrong."""
+    truth = st.load_scene("scene.txt", np.float64)
+    wrong = eqx.tree_at(
+        lambda s: (s.spheres.kd, s.spheres.ks), truth, (jnp.full(2, 0.4), jnp.full(2, 0.2))
+    )
+    st.save_scene("start.txt", wrong)
+    return wrong
+
+
+def test_fit_finds_the_scene_and_reports_it(spheretrace, start):
+    status, out, err = spheretrace(*FIT, "--free", "kd, ks", "--report", "new/report")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert re.fullmatch(
+        r"fitted\.txt: converged after \d+ steps, root-mean-square residual \d\.\d\de-\d\d",
+        lines[0],
+    )
+    report = ["new/report/comparison.png", "new/report/cost.png", "new/report/report.md"]
+    assert lines[1:] == report
+    found = st.load_scene("fitted.txt", np.float64)
+    truth = st.load_scene("scene.txt", np.float64)
+    np.testing.assert_allclose(found.spheres.kd, truth.spheres.kd, rtol=1e-6)  # EXR is float32
+    np.testing.assert_allclose(found.spheres.ks, truth.spheres.ks, rtol=1e-6)
+    assert eqx.tree_equal(found.lights, start.lights)
+    for file in report[:2]:
+        picture = st.read_image(file)
+        assert min(picture.shape[:2]) > 100 and picture.std() > 0.1
+    text = Path(report[2]).read_text()
+    assert text.startswith("# Fit\n\nConverged after ")
+    for link in re.findall(r"!\[[^]]+\]\(([^)]+)\)", text):
+        assert Path("new/report", link).is_file()
+    table = [line for line in text.splitlines() if line.startswith("|")]
+    assert table[:2] == ["| parameter | object | before | after |", "|---|---|---|---|"]
+    assert table[2:] == [
+        "| kd | sphere 1 | 0.4 | 0.6 |",
+        "| kd | sphere 2 | 0.4 | 0.5 |",
+        "| ks | sphere 1 | 0.2 | 0.3 |",
+        "| ks | sphere 2 | 0.2 | 0.4 |",
+    ]
+
+
+def test_a_fit_that_runs_out_of_steps_is_written_and_exits_with_1(spheretrace, start):
+    status, out, err = spheretrace(*FIT, "--free", "kd,ks", "--max-steps", "1")
+    assert (status, err) == (1, "")
+    assert out.startswith("fitted.txt: NOT converged (The maximum number of steps was reached")
+    assert " after 1 steps, " in out
+    assert len(st.load_scene("fitted.txt").spheres) == 2
+
+
+def test_an_interrupted_fit_is_written_and_exits_with_130(spheretrace, start, monkeypatch):
+    fit = st.fit
+
+    def interrupted(scene, target, *, callback, **settings):
+        def show(progress):
+            callback(progress)
+            if progress.step == 2:
+                raise KeyboardInterrupt
+
+        return fit(scene, target, callback=show, **settings)
+
+    monkeypatch.setattr(st, "fit", interrupted)
+    status, out, err = spheretrace(*FIT, "--free", "kd,ks")
+    assert (status, err) == (130, "")
+    assert out.startswith("fitted.txt: interrupted: the best scene so far after 2 steps, ")
+    truth, found = (st.load_scene(f, np.float64).spheres for f in ("scene.txt", "fitted.txt"))
+    assert jnp.abs(found.kd - truth.kd).max() < jnp.abs(start.spheres.kd - truth.kd).max()
+
+
+def test_an_interrupt_outside_of_a_fit_writes_nothing(spheretrace, folder, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    before = files(folder)
+    monkeypatch.setattr(st, "render", interrupt)
+    status, out, err = spheretrace(*RENDER)
+    assert (status, out, err) == (130, "", "spheretrace: interrupted, nothing written\n")
+    assert files(folder) == before
+
+
+# --- mistakes -------------------------------------------------------------------------------------
+
+FREE = "color, ka, kd, ks, kgr, kt, exponent, light_color, light_position"
+
+MISTAKES = {
+    "missing scene": (
+        "render no.txt -o out.png",
+        "no.txt: cannot read the scene: No such file or directory",
+    ),
+    "a folder for a scene": ("info .", ".: cannot read the scene: Is a directory"),
+    "bad scene": (
+        "render bad.txt -o out.png",
+        "bad.txt:6:9: radius must be greater than 0, got -80",
+    ),
+    "a picture for a scene": (
+        "info cut.png",
+        "cut.png:2:1: expected text, got binary data (byte 0x1a)",
+    ),
+    "no size": (
+        "render scene.txt -o out.png --size 32",
+        "--size must be WIDTHxHEIGHT in pixels, such as 512x512, got '32'",
+    ),
+    "size of 0": (
+        "render scene.txt -o out.png --size 32x0",
+        "--size must be WIDTHxHEIGHT in pixels, such as 512x512, got '32x0'",
+    ),
+    "negative size": (
+        "render scene.txt -o out.png --size 32x-24",
+        "--size must be WIDTHxHEIGHT in pixels, such as 512x512, got '32x-24'",
+    ),
+    "huge size": (
+        "render scene.txt -o out.png --size 99999x99999",
+        "--size must be at most 268435456 pixels in all, got 99999x99999",
+    ),
+    "unknown ending": (
+        "render scene.txt -o out.gif",
+        "out.gif: expected a picture file (.exr, .hdr, .png, .ppm, .tif, .tiff, .jpg, .jpeg), "
+        "got '.gif'",
+    ),
+    "bits that do not go": (
+        "render scene.txt -o out.jpg --bits 16",
+        "out.jpg: .jpg files have 8 bits, got 16",
+    ),
+    "no folder for the picture": (
+        "render scene.txt -o no/out.png",
+        "no/out.png: there is no folder no to write to",
+    ),
+    "a folder for a picture": (
+        "render scene.txt -o folder.png",
+        "folder.png: expected a file to write, this is a folder",
+    ),
+    "negative bounces": (
+        "render scene.txt -o out.png --bounces -1",
+        "--bounces must be at least 0, got -1",
+    ),
+    "no samples": (
+        "render scene.txt -o out.png --samples 0",
+        "--samples must be at least 1, got 0",
+    ),
+    "missing target": (
+        "fit scene.txt no.png -o out.txt",
+        "no.png: there is no such picture",
+    ),
+    "cut target": (
+        "fit scene.txt cut.png -o out.txt",
+        "cut.png: cannot be read as a picture: Read error: hit end of file in png reader",
+    ),
+    "words for a target": (
+        "fit scene.txt words.png -o out.txt",
+        "words.png: cannot be read as a picture: Not a PNG file",
+    ),
+    "no folder for the fit": (
+        "fit scene.txt target.exr -o no/out.txt",
+        "no/out.txt: there is no folder no to write to",
+    ),
+    "a folder for a fit": (
+        "fit scene.txt target.exr -o folder.png",
+        "folder.png: expected a file to write, this is a folder",
+    ),
+    "a device for a fit": (
+        "fit scene.txt target.exr -o /dev/null",
+        "/dev/null: expected a file to write, this is a device or a pipe",
+    ),
+    "a file for the report": (
+        "fit scene.txt target.exr -o out.txt --report scene.txt",
+        "scene.txt: expected a folder to write to, this is a file",
+    ),
+    "unknown name": (
+        "fit scene.txt target.exr -o out.txt --free ks,colour",
+        f"free parameters must be among {FREE}, got colour",
+    ),
+    "no name": (
+        "fit scene.txt target.exr -o out.txt --free ,",
+        f"free parameters must be among {FREE}, got none",
+    ),
+    "no steps": (
+        "fit scene.txt target.exr -o out.txt --max-steps 0",
+        "--max-steps must be at least 1, got 0",
+    ),
+    "negative bounces of a fit": (
+        "fit scene.txt target.exr -o out.txt --bounces -2",
+        "--bounces must be at least 0, got -2",
+    ),
+    "no .pov": (
+        "convert scene.txt out.txt",
+        "out.txt: expected a file that ends in .pov",
+    ),
+    "no folder for the .pov": (
+        "convert scene.txt no/out.pov",
+        "no/out.pov: there is no folder no to write to",
+    ),
+    "bounces for POV-Ray": (
+        "convert scene.txt out.pov --bounces 256",
+        "bounces must be in 0..255 for POV-Ray, got 256",
+    ),
+    "a file for the demo": (
+        "demo -o scene.txt",
+        "scene.txt: expected a folder to write to, this is a file",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_and_status_2_and_nothing_is_written(mistake, spheretrace, folder):
+    words, message = MISTAKES[mistake]
+    Path("folder.png").mkdir()
+    before = files(folder)
+    assert spheretrace(*words.split(" ")) == (2, "", f"spheretrace: {message}\n")
+    assert files(folder) == before
+    assert [f.name for f in folder.iterdir() if f.is_dir()] == ["folder.png"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "",
+        "draw scene.txt",
+        "render scene.txt",
+        "render scene.txt -o out.png --highlight flat",
+        "render scene.txt -o out.png --bounces many",
+        "render scene.txt -o out.png --colour srgb",
+        "fit scene.txt -o out.txt",
+    ],
+)
+def test_words_that_no_option_knows_exit_with_2(words, spheretrace, folder):
+    before = files(folder)
+    status, out, err = spheretrace(*words.split())
+    assert (status, out) == (2, "") and "spheretrace" in err
+    assert files(folder) == before
+
+
+# --- help, and what is loaded ---------------------------------------------------------------------
+
+HELP = {
+    "": ["render", "fit", "info", "convert", "demo", "find the world that a picture shows"],
+    "render": [
+        *("SCENE", "-o IMAGE", "--size WxH", "width and height in pixels", "512x512"),
+        *("--highlight {phong,blinn}", "--bounces N", "reflections and transmissions at most"),
+        *("--samples K", "K x K rays per pixel", "--dtype {float32,float64}", "--bits B"),
+        *("--colorspace {auto,linear,srgb}", "how to code the file's numbers", "png, ppm"),
+    ],
+    "fit": [
+        *("SCENE", "TARGET", "-o FITTED.txt", "--free NAMES", "color, ka, kd, ks, exponent"),
+        *("light_position", "--highlight {phong,blinn}", "--max-steps N", "--report DIR"),
+        *("cost curve", "--dtype", "when it is interrupted", "Exit status 1"),
+    ],
+    "info": ["SCENE", "what is left out and why"],
+    "convert": ["SCENE", "OUT.pov", "POV-Ray"],
+    "demo": ["-o DIR", "the folder to write to", "POV-Ray", "from a wrong start"],
+}
+
+
+@pytest.mark.parametrize("command", HELP)
+def test_help_teaches(command, spheretrace, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    status, out, err = spheretrace(*command.split(), "--help")
+    assert (status, err) == (0, "")
+    plain = " ".join(re.sub("[│╭╮╰╯─]", " ", out).split())
+    assert [words for words in HELP[command] if words not in plain] == []
+
+
+def python(*words: str, folder: Path) -> subprocess.CompletedProcess:
+    environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True
+    )
+
+
+def test_the_program_runs_as_a_module(tmp_path):
+    result = python("-m", "spheretrace_jax.cli", "--help", folder=tmp_path)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.startswith("usage: spheretrace ")
+
+
+def test_the_package_loads_without_the_libraries_of_the_host(tmp_path):
+    program = "import sys, spheretrace_jax; print(*sys.modules)"
+    result = python("-c", program, folder=tmp_path)
+    loaded = set(result.stdout.split())
+    assert "spheretrace_jax.render" in loaded, result.stderr
+    assert not loaded & {"OpenImageIO", "matplotlib", "rich", "tyro"}
