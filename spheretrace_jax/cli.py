@@ -190,7 +190,7 @@ class Convert:
 
         if self.output.suffix != ".pov":
             raise InputError(f"{self.output}: expected a file that ends in .pov")
-        scene = load_scene(self.scene, "float64" if _x64() else "float32")
+        scene = load_scene(self.scene, "float64")  # as main allows
         write_povray(
             self.output, scene, highlight=self.highlight, bounces=self.bounces,
             scene_path=self.scene,
@@ -266,12 +266,6 @@ def main() -> None:
         print("spheretrace: interrupted, nothing written", file=sys.stderr)
         status = 130
     sys.exit(status)
-
-
-def _x64() -> bool:
-    import jax
-
-    return bool(jax.config.jax_enable_x64)
 
 
 def _one_line(error: Exception) -> str:

@@ -504,6 +504,18 @@ def test_writing_then_reading_keeps_every_bit(data, dtype, pictures, tmp_path_fa
         assert_same(st.load_scene(file, dtype), scene)
 
 
+def test_zeros_keep_their_sign(tmp_path):
+    scene = st.Scene(
+        st.Spheres([[-0.0, 0, -0.0]], [1.0], (-0.0, 0, 0), kd=-0.0),
+        st.Lights([[0.0, -0.0, 9]], [[-0.0, 0, 0]]),
+        st.Camera(-0.0, 0.0, -0.0),
+        background=(0.0, -0.0, 0.0),
+        back_plane=st.BackPlane((0.0, 0, -0.0), -0.0),
+    )
+    st.save_scene(tmp_path / "scene.txt", scene)
+    assert_same(st.load_scene(tmp_path / "scene.txt"), scene)
+
+
 def test_written_texts_read_well(tmp_path):
     scene = read(tmp_path, SCENE + "window 300\nbackground .1 .2 .3\n")
     st.save_scene(tmp_path / "out.txt", scene)
