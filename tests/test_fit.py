@@ -30,13 +30,20 @@ def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize("options", [PLAIN, {}], ids=["one ray", "antialiased with reflections"])
-def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(options):
+@pytest.mark.parametrize(
+    ("size", "options"),
+    [
+        pytest.param(128, PLAIN, id="one ray"),
+        pytest.param(48, {}, id="antialiased with reflections"),
+        pytest.param(128, {}, id="antialiased with reflections, large", marks=pytest.mark.slow),
+    ],
+)
+def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, options):
     lecture = nine_spheres(LIGHT)
     truth = with_random_colors(
         st.Scene(lecture.spheres, lecture.lights, lecture.camera, antialias=1)
     )
-    target = st.render(truth, width=128, height=128, **options)
+    target = st.render(truth, width=size, height=size, **options)
     found = st.fit(wrong_start(truth), target, **options)
     assert found.converged and found.result == optx.RESULTS.successful
     assert found.steps <= 12
