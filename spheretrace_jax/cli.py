@@ -149,15 +149,17 @@ class Info:
             f"{_some(scene.planes, 'plane')}, {_some(scene.textures, 'texture')}"
             f"{', the back plane' if scene.back_plane is not None else ''}",
             highlight=False,
+            markup=False,
         )
         console.print(
             f"camera: theta {float(c.theta):g}, phi {float(c.phi):g}, mu {float(c.mu):g}, "
             f"distance {float(c.distance):g}, window {float(c.window):g}",
             highlight=False,
+            markup=False,
         )
         for i, (p, color) in enumerate(zip(scene.lights.position, scene.lights.color, strict=True)):
             text = f"light {i + 1}: at {_short(p)}, color {_short(color)}"
-            console.print(text, highlight=False)
+            console.print(text, highlight=False, markup=False)
         table = Table(
             "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic",
             box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
@@ -263,7 +265,7 @@ def main() -> None:
         print(f"spheretrace: {_one_line(error)}", file=sys.stderr)
         status = 2
     except KeyboardInterrupt:
-        print("spheretrace: interrupted, nothing written", file=sys.stderr)
+        print("spheretrace: interrupted", file=sys.stderr)
         status = 130
     sys.exit(status)
 

@@ -13,7 +13,7 @@ import jax.core
 import numpy as np
 
 from .errors import InputError
-from .scene import Scene
+from .scene import Camera, Lights, Planes, Scene, Spheres
 
 #: Samples along each side of a pixel for antialias 1, until edges are covered analytically.
 ANTIALIAS_SAMPLES = 2
@@ -52,14 +52,15 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
 
     **Returns:** the needs, to pass to `render(..., needs=...)`, also under jit, grad and vmap.
 
-    **Raises:** `InputError` under a trace, where the numbers are not known.
+    **Raises:** `InputError` for unknown names in `free`, and under a trace, where the numbers are
+    not known.
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError(
             "the needs of a scene depend on its numbers, which are not known under jit, grad or "
             "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
         )
-    free = frozenset(free)
+    free = _names(free)
     spheres, planes = scene.spheres, scene.planes
 
     def some(name: str) -> np.ndarray:
@@ -89,6 +90,18 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         or bool((np.asarray(scene.background) != 0).any()),
         antialias=bool(scene.antialias),
     )
+
+
+def _names(free: Iterable[str]) -> frozenset[str]:
+    """**Raises:** `InputError` for names of no parameter, and for a bare string."""
+    parts = (Spheres, Lights, Planes, Camera)
+    known = {field.name for part in parts for field in dataclasses.fields(part)}
+    known |= {"background", "light_position", "light_color"}
+    names = frozenset([free] if isinstance(free, str) else free)
+    unknown = sorted(names - known)
+    if unknown:
+        raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
+    return names
 
 
 def _eye_is_inside(scene: Scene) -> bool:

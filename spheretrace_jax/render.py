@@ -23,6 +23,9 @@ from .vec import Vec, reflect, vec, where
 from .visibility import nearest, unoccluded
 from .world import Hit, Material, Surface, World, build_world, surface_at
 
+#: More samples along a pixel's side, or more bounces where paths branch, would never end.
+MOST_SAMPLES, MOST_BRANCHINGS = 256, 16
+
 
 class Options(eqx.Module):
     """What is static about a picture besides its scene."""
@@ -57,13 +60,15 @@ def render(
     """The picture of a scene: a pure function, differentiable in every array of the scene.
 
     Compiled once per shape and need of the scene; other numbers never compile again. Derivatives
-    are those of the surfaces' colours: a point-sampled picture has none where edges move.
+    are those of the surfaces' colours: a point-sampled picture has none where edges move. For
+    derivatives by ks, kgr or kt where they are 0, pass `needs(scene, free=("ks", "kgr", "kt"))`.
 
     **Arguments:**
 
     - `width`, `height`: the picture's size in pixels.
     - `highlight`: `"phong"` for (R.V)^n or `"blinn"` for (H.N)^n.
-    - `bounces`: how many reflections and transmissions a path goes through at most.
+    - `bounces`: how many reflections and transmissions n a path goes through at most. Where an
+      object both reflects and transmits, 2^n paths are followed.
     - `samples`: k for k x k rays per pixel on a regular grid; by default 2 where the scene's
       antialias flag is 1, else 1.
     - `needs`: what to compute, by default what `spheretrace_jax.needs(scene)` finds; to be given
@@ -90,13 +95,18 @@ def options(
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
         if value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")
-    if samples is not None and samples < 1:
-        raise InputError(f"samples must be at least 1, got {samples}")
+    if samples is not None and not 1 <= samples <= MOST_SAMPLES:
+        raise InputError(f"samples must be in 1..{MOST_SAMPLES}, got {samples}")
     if highlight not in HIGHLIGHTS:
         raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
     needs = needs_of(scene) if needs is None else needs
     samples = samples or (ANTIALIAS_SAMPLES if needs.antialias else 1)
     bounces = bounces if needs.bounces else 0
+    if needs.branching and bounces > MOST_BRANCHINGS:
+        raise InputError(
+            "where an object both reflects and transmits, n bounces follow 2^n paths: "
+            f"bounces must be at most {MOST_BRANCHINGS}, got {bounces}"
+        )
     return Options(width, height, highlight, bounces, samples, needs)
 
 
@@ -177,11 +187,11 @@ def _follow(
 ) -> Vec:
     """Adds what a path sees from its first bounce on, as long as any ray of the strip is alive."""
 
-    def bounce(state: tuple[Path, Vec], bounce: Int[Array, ""]) -> tuple[tuple[Path, Vec], None]:
+    def bounce(state: tuple[Path, Vec], number: Int[Array, ""]) -> tuple[tuple[Path, Vec], None]:
         def go_on(path: Path, color: Vec) -> tuple[Path, Vec]:
             hit = nearest(world, path.ray, options.needs, path.hit)
             path = eqx.tree_at(lambda p: p.hit, path, hit)
-            later = choices >> bounce
+            later = choices >> number
             more, path = shade(scene, world, path, options, later & 1)
             return path, color + more * (later == 0).astype(scene.dtype)
 
@@ -247,7 +257,7 @@ def local_color(
         diffuse, shine = materialise_pair(terms, world.window) if highlight else terms()
         return (sums[0] + light_color * diffuse, sums[1] + light_color * shine), None
 
-    zeros = _zeros(path_shape(ray), scene.dtype)
+    zeros = _zeros(hit.id.shape, scene.dtype)
     sums = zeros, zeros
     if len(lights) <= UNROLL // 4:
         for i in range(len(lights)):
@@ -257,10 +267,6 @@ def local_color(
     diffuse, shine = sums
     color = own_color * (ambient * material.ka + diffuse * material.kd)
     return color + shine * material.ks if highlight else color
-
-
-def path_shape(ray: Ray) -> tuple[int, ...]:
-    return ray.direction.x.shape
 
 
 def surface_color(

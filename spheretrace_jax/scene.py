@@ -169,6 +169,10 @@ class Planes(eqx.Module):
             if getattr(self, name).shape != (p, 3):
                 shape = getattr(self, name).shape
                 raise ValueError(f"{name} of the planes must have shape ({p}, 3), got {shape}")
+        for name in ("ka", "kd", "ks", "exponent", "kgr", "checker_size"):
+            if getattr(self, name).shape != (p,):
+                shape = getattr(self, name).shape
+                raise ValueError(f"{name} of the planes must have shape ({p},), got {shape}")
 
     def __len__(self) -> int:
         return self.point.shape[0]

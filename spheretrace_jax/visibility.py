@@ -5,6 +5,8 @@ Integers and booleans only: nothing here has a derivative, and everything runs u
 are convex) and skips it by its number.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -14,7 +16,7 @@ from .intersect import ray_plane, ray_sphere
 from .needs import Needs
 from .phases import fetch, materialise, over, smallest_int
 from .vec import Vec, cross, dot
-from .world import Hit, World
+from .world import Ball, Flat, Hit, World
 
 
 def _row(table, i):
@@ -39,14 +41,14 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
     def sphere(i, best):
         ball = _row(world.balls, i)
         near, far = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
-        skip = None if leaving is None else leaving.id == i
+        own = None if leaving is None else leaving.id == i
         if not needs.inside:
-            return _nearer(best, near, i, skip)
+            return _nearer(best, near, i, own)
         t = jnp.where(near > 0, near, far)
-        if leaving is not None and skip is not None:
-            t = jnp.where(skip & leaving.inside, far, t)
-            skip = skip & ~leaving.inside
-        return _nearer(best, t, i, skip)
+        if leaving is None or own is None:
+            return _nearer(best, t, i, None)
+        t = jnp.where(own & leaving.inside, far, t)
+        return _nearer(best, t, i, own & ~leaving.inside)
 
     def plane(i, best):
         flat = _row(world.flats, i)
@@ -78,7 +80,7 @@ def _from_inside(world: World, ray: Ray, number: Ids, leaving: Hit | None) -> Ma
     """Whether the sphere that a ray meets is met from inside: its near root lies behind."""
     ball = fetch(world.balls, number)
     near, _ = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
-    inside = ~(near > 0)
+    inside = near <= 0
     if leaving is not None:
         inside = inside | (leaving.id == number) & leaving.inside
     return inside & (number >= 0) & (number < world.spheres)
@@ -95,11 +97,12 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
     light's position, a `Vec` of scalars.
     """
     world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
+    balls, point, flats, light = _of_order_one(world, point, light)
     to_light = light - point
     square = dot(to_light, to_light)
 
     def behind_sphere(i, blocked):
-        ball = _row(world.balls, i)
+        ball = _row(balls, i)
         to_center = ball.center - point
         # The cross product needs no division and no root, either of which would split the loop
         # into several kernels: |PC x PL|^2 = |PC|^2 |PL|^2 sin^2.
@@ -118,7 +121,7 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
         return blocked | crossed
 
     def behind_plane(i, blocked):
-        flat = _row(world.flats, i)
+        flat = _row(flats, i)
         sides = dot(point - flat.point, flat.normal) * dot(light - flat.point, flat.normal)
         return blocked | (sides < 0) & (hit.id != i + world.spheres)
 
@@ -130,3 +133,22 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
         return ~blocked
 
     return materialise(phase, world.window)
+
+
+def _of_order_one(world: World, point: Vec, light: Vec) -> tuple[Ball, Vec, Flat, Vec]:
+    """The same lengths divided by a power of two near the largest of them, which is exact.
+
+    The shadow test multiplies four lengths: in float32 it would overflow where a radius times the
+    light's distance exceeds 1.8e19, and shadows would be lost (planets, in metres).
+    """
+    sizes = [world.balls.radius, *_parts(world.balls.center), *_parts(light)]
+    largest = functools.reduce(jnp.maximum, (jnp.max(jnp.abs(x), initial=0) for x in sizes))
+    exponent = jnp.where(largest > 0, jnp.floor(jnp.log2(jnp.where(largest > 0, largest, 1))), 0)
+    scale = jnp.exp2(-exponent)
+    balls = Ball(world.balls.center * scale, world.balls.radius * scale)
+    flats = Flat(world.flats.point * scale, world.flats.normal)
+    return balls, point * scale, flats, light * scale
+
+
+def _parts(v: Vec) -> tuple[Plane, Plane, Plane]:
+    return v.x, v.y, v.z

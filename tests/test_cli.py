@@ -246,7 +246,7 @@ def test_an_interrupt_outside_of_a_fit_writes_nothing(spheretrace, folder, monke
     before = files(folder)
     monkeypatch.setattr(st, "render", interrupt)
     status, out, err = spheretrace(*RENDER)
-    assert (status, out, err) == (130, "", "spheretrace: interrupted, nothing written\n")
+    assert (status, out, err) == (130, "", "spheretrace: interrupted\n")
     assert files(folder) == before
 
 

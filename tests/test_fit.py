@@ -186,6 +186,8 @@ def test_an_interrupted_fit_keeps_the_best_scene_so_far():
         (np.zeros((4, 4)), r"shape \(height, width, 3\), got \(4, 4\)"),
         (np.zeros((0, 4, 3)), r"got \(0, 4, 3\)"),
         (np.full((4, 4, 3), np.nan), "48 numbers that are nan or inf"),
+        (np.ones((4, 4, 3)), "every number of the target is clipped"),
+        (np.full((4, 4, 3), 100, np.uint8), "floating numbers, as read_image gives, got uint8"),
     ],
 )
 def test_targets_of_no_use_are_refused(target, message):
@@ -197,6 +199,12 @@ def test_targets_of_no_use_are_refused(target, message):
 def test_names_that_cannot_be_free_are_refused(free):
     with pytest.raises(st.InputError, match=r"free parameter"):
         st.fit(nine_spheres(), np.zeros((4, 4, 3)), free=free)
+
+
+def test_what_the_scene_does_not_have_cannot_be_free():
+    dark = st.Scene(nine_spheres().spheres, st.Lights(np.zeros((0, 3))))
+    with pytest.raises(st.InputError, match="light_position is free, but the scene has no lights"):
+        st.fit(dark, np.zeros((4, 4, 3)))
 
 
 def test_any_number_of_the_solver_stands_for_a_valid_scene():

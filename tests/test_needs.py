@@ -50,6 +50,13 @@ def test_what_will_be_free_is_needed():
     assert {"transmission", "inside"} <= needed(scene, free=["kt"])
 
 
+@pytest.mark.parametrize("free", ["colour", ["kgr", "light"]])
+def test_unknown_names_are_refused(free):
+    with pytest.raises(st.InputError, match="free must name parameters of the scene"):
+        st.needs(SCENES["diffuse"], free=free)
+    assert st.needs(SCENES["diffuse"], free="kgr").reflection
+
+
 def test_needs_are_static_hashable_and_equal_for_scenes_alike():
     first, second = (st.needs(nine_spheres(light)) for light in ((100.0, 900, 300), (0.0, 0, 900)))
     assert first == second and hash(first) == hash(second)

@@ -199,9 +199,11 @@ def test_it_works_under_jit_and_vmap_with_needs():
         (dict(width=0), "width must be at least 1, got 0"),
         (dict(height=-3), "height must be at least 1, got -3"),
         (dict(bounces=-1), "bounces must be at least 0, got -1"),
-        (dict(samples=0), "samples must be at least 1, got 0"),
+        (dict(samples=0), "samples must be in 1..256, got 0"),
+        (dict(samples=1000), "samples must be in 1..256, got 1000"),
+        (dict(bounces=17), "bounces must be at most 16, got 17"),
     ],
 )
 def test_arguments_out_of_range_are_refused(wrong, message):
-    with pytest.raises(ValueError, match=message):
-        st.render(SCENES["diffuse"], **(SMALL | wrong))
+    with pytest.raises(st.InputError, match=message):
+        st.render(SCENES["glass"], **(SMALL | wrong))

@@ -41,6 +41,7 @@ def test_empty_worlds_are_scenes():
         (lambda: st.Spheres([[0.0, 0, 0]], [1.0], pic=[0, 1]), "pic must name a texture"),
         (lambda: st.Lights([[0.0, 0, 0]], [[1.0, 1]]), "shape"),
         (lambda: st.Planes([[0.0, 0, 0]], [[0.0, 0, 1]] * 2), "normal of the planes"),
+        (lambda: st.Planes([[0.0, 0, 0]], [[0.0, 0, 1]], ka=[0.1, 0.2]), "ka of the planes"),
         (
             lambda: st.Scene(st.Spheres([[0.0, 0, 0]], [1.0], pic=2), st.Lights([[0.0, 0, 0]])),
             "sphere 1 has texture 2, but there are 0 textures",

@@ -69,6 +69,18 @@ def test_who_casts_a_shadow(point, light, expected):
     assert lit(world_of((0, 1)), point, light) is expected
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1e-6, 1.0, 1e6, 1e12])
+def test_shadows_of_far_lights_survive_any_unit_of_length_in_float32(unit):
+    center = jnp.asarray([[0.0, 0, 0], [300, 0, 0]]) * unit
+    spheres = st.Spheres(center.astype(jnp.float32), jnp.full(2, 100 * unit, jnp.float32))
+    world = build_world(st.Scene(spheres, st.Lights([[0.0, 0, 0]])))
+    light = vec(jnp.asarray([1e6 * unit, 0, 0], jnp.float32))
+    for height, expected in ((99.0, False), (101.0, True)):
+        point = vec(jnp.asarray([-200 * unit, height * unit, 0], jnp.float32))
+        seen = unoccluded(world, point, left(-1, False), light, st.Needs(planes=False))
+        assert bool(seen) is expected
+
+
 def test_the_wall_of_a_room_keeps_outer_lights_out_and_inner_lights_in():
     room = world_of((0, 10))
     assert lit(room, [10, 0, 0], [3, 0, 0], 0, True)

@@ -71,6 +71,8 @@ def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
 def save_scene(path: str | os.PathLike, scene: Scene) -> None:
     """Writes a scene file, whole or not at all; reading it in the same dtype gives the same scene.
 
+    (Only the checker colour of a plane without squares, which nothing shows, is not kept.)
+
     **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan) and
     for textures that are in no file; `OSError` if the file cannot be written.
     """

@@ -48,6 +48,14 @@ def check_free(free: tuple[str, ...]) -> None:
         raise InputError(f"each free parameter must be named once, got {', '.join(free)}")
 
 
+def check_present(scene: Scene, free: tuple[str, ...]) -> None:
+    """**Raises:** `InputError` for free parameters of things that the scene does not have."""
+    for name in free:
+        if _PARAMETERS[name][0](scene).size == 0:
+            things = "lights" if name.startswith("light") else "spheres"
+            raise InputError(f"{name} is free, but the scene has no {things}")
+
+
 def length_scale(scene: Scene) -> Scalar:
     """A length that makes the lights' positions numbers of order one: how far the lights are.
 
@@ -62,14 +70,16 @@ def length_scale(scene: Scene) -> Scalar:
 
 
 def to_solver(scene: Scene, free: tuple[str, ...], scale: Scalar) -> Values:
-    """The numbers that a solver starts from."""
+    """The numbers that a solver starts from: those of the scene, brought within the bounds."""
 
     def one(name: str) -> Array:
         where, kind = _PARAMETERS[name]
         value = where(scene)
         if kind == "positive":
             return jnp.log(jnp.maximum(value, _LEAST_EXPONENT))
-        return value / scale if kind == "length" else value
+        if kind == "length":
+            return value / scale
+        return jnp.clip(value, 0, 1 if kind == "unit" else None)
 
     return {name: one(name) for name in free}
 

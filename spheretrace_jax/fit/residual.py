@@ -31,7 +31,8 @@ def make_target(image: ArrayLike, dtype: np.dtype) -> Target:
     files are: the numbers at 1 say "at least 1" and do not count. Pictures with brighter pixels
     (EXR, HDR) are taken to be whole.
 
-    **Raises:** `PictureError` for shapes other than `(height, width, 3)` and for nan or inf.
+    **Raises:** `PictureError` for shapes other than `(height, width, 3)`, for nan and inf, for
+    integers, and if everything is clipped.
     """
     pixels = np.asarray(image)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
@@ -39,5 +40,11 @@ def make_target(image: ArrayLike, dtype: np.dtype) -> Target:
     wild = int(np.count_nonzero(~np.isfinite(pixels)))
     if wild:
         raise PictureError(f"the target must be finite, got {wild} numbers that are nan or inf")
+    if not np.issubdtype(pixels.dtype, np.floating):
+        raise PictureError(
+            f"the target must hold linear floating numbers, as read_image gives, got {pixels.dtype}"
+        )
     clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= _WHITE)
+    if clipped.all():
+        raise PictureError("every number of the target is clipped: there is nothing to fit")
     return Target(jnp.asarray(pixels, dtype), jnp.asarray(~clipped))

@@ -15,7 +15,16 @@ from ..needs import needs
 from ..render import options as render_options, render
 from ..scene import Scene
 from .bounded import BoundedLevenbergMarquardt
-from .parameters import Values, bounds, check_free, hold_ka, length_scale, to_scene, to_solver
+from .parameters import (
+    Values,
+    bounds,
+    check_free,
+    check_present,
+    hold_ka,
+    length_scale,
+    to_scene,
+    to_solver,
+)
 from .residual import make_target
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
@@ -80,7 +89,7 @@ def fit(
     - `target`: linear RGB of shape `(height, width, 3)`. Numbers at 1 in a picture without
       brighter ones are clipped, as in 8- and 16-bit files, and do not count.
     - `free`: among `color ka kd ks exponent kgr kt` (of all spheres) and `light_position
-      light_color` (of all lights).
+      light_color` (of all lights). An exponent of 0 starts as 0.01.
     - `highlight`, `bounces`, `samples`: as for `render`.
     - `solver`: any Optimistix solver of the Gauss-Newton family, by default Levenberg-Marquardt
       with bounds.
@@ -96,6 +105,7 @@ def fit(
     """
     free = tuple(free)
     check_free(free)
+    check_present(scene, free)
     goal = make_target(target, scene.dtype)
     height, width, _ = goal.image.shape
     wanted = needs(scene, free=free)
