@@ -19,9 +19,14 @@ import tyro
 from tyro.conf import Positional, arg
 
 from .errors import InputError, SceneWarning
+from .fit.solve import DEFAULT_FREE
 
-Dtype = Literal["float32", "float64"]
-Highlight = Literal["phong", "blinn"]
+Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
+Highlight = Annotated[Literal["phong", "blinn"], arg(help="(R.V)^n or (H.N)^n")]
+Bounces = Annotated[int, arg(metavar="N", help="reflections and transmissions at most")]
+Samples = Annotated[
+    int | None, arg(metavar="K", help="K x K rays per pixel; by default the scene's flag decides")
+]
 SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
 
 
@@ -36,13 +41,10 @@ class Render:
     scene: SceneFile
     output: Annotated[Path, arg(aliases=["-o"], metavar="IMAGE", help="the picture to write")]
     size: Annotated[str, arg(metavar="WxH", help="width and height in pixels")] = "512x512"
-    highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
-    bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
-    samples: Annotated[
-        int | None,
-        arg(metavar="K", help="K x K rays per pixel; by default the scene's flag decides"),
-    ] = None
-    dtype: Annotated[Dtype, arg(help="the precision")] = "float32"
+    highlight: Highlight = "phong"
+    bounces: Bounces = 5
+    samples: Samples = None
+    dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how to code the file's numbers")
     ] = "auto"
@@ -91,14 +93,11 @@ class FitCommand:
             help="what to fit, with commas: color, ka, kd, ks, exponent, kgr, kt, "
             "light_position, light_color",
         ),
-    ] = "color,ka,kd,ks,light_position"
-    highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
-    bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
-    samples: Annotated[
-        int | None,
-        arg(metavar="K", help="K x K rays per pixel; by default the scene's flag decides"),
-    ] = None
-    dtype: Annotated[Dtype, arg(help="the precision")] = "float32"
+    ] = ",".join(DEFAULT_FREE)
+    highlight: Highlight = "phong"
+    bounces: Bounces = 5
+    samples: Samples = None
+    dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
     ] = "auto"
@@ -184,8 +183,8 @@ class Convert:
 
     scene: SceneFile
     output: Positional[Annotated[Path, arg(metavar="OUT.pov", help="the POV-Ray file to write")]]
-    highlight: Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")] = "phong"
-    bounces: Annotated[int, arg(metavar="N", help="reflections and transmissions at most")] = 5
+    highlight: Highlight = "phong"
+    bounces: Bounces = 5
 
     def run(self) -> int:
         from . import load_scene, write_povray
@@ -213,7 +212,7 @@ class Demo:
     output: Annotated[
         Path, arg(aliases=["-o"], metavar="DIR", help="the folder to write to")
     ] = Path("spheretrace_demo")  # fmt: skip
-    dtype: Annotated[Dtype, arg(help="the precision")] = "float32"
+    dtype: Dtype = "float32"
 
     def run(self) -> int:
         from . import load_scene, read_image, render, save_scene, write_image
@@ -225,14 +224,13 @@ class Demo:
         truth = load_scene(data / "nine_spheres.txt", self.dtype)
         target = read_image(data / "nine_spheres.png")
         start = wrong_start(truth)
-        free = ("color", "ka", "kd", "ks", "light_position")
-        found = _fit_with_progress(start, target, free=free)
+        found = _fit_with_progress(start, target)
         self.output.mkdir(parents=True, exist_ok=True)
         save_scene(self.output / "fitted.txt", found.scene)
         with _busy("rendering the fitted scene"):
             write_image(self.output / "fitted.png", render(found.scene))
         files = [self.output / "fitted.txt", self.output / "fitted.png"]
-        files += _report(self.output, found, start, target, free, {})
+        files += _report(self.output, found, start, target, DEFAULT_FREE, {})
         print(f"the fit {verdict(found)}")
         print("largest error against the file that POV-Ray rendered:")
         pairs = zip(determined(found.scene).items(), determined(start).values(), strict=True)

@@ -7,19 +7,8 @@ import numpy as np
 
 from .files.atomic import replacing, write_text
 from .fit import Fit
+from .fit.parameters import value
 from .scene import Scene
-
-_ROWS = {
-    "color": lambda s: s.spheres.color,
-    "ka": lambda s: s.spheres.ka,
-    "kd": lambda s: s.spheres.kd,
-    "ks": lambda s: s.spheres.ks,
-    "exponent": lambda s: s.spheres.exponent,
-    "kgr": lambda s: s.spheres.kgr,
-    "kt": lambda s: s.spheres.kt,
-    "light_position": lambda s: s.lights.position,
-    "light_color": lambda s: s.lights.color,
-}
 
 
 def verdict(fit: Fit) -> str:
@@ -50,7 +39,7 @@ def parameter_table(start: Scene, fitted: Scene, free: tuple[str, ...]) -> str:
     """A Markdown table of the free parameters, before and after, one line per object."""
     lines = ["| parameter | object | before | after |", "|---|---|---|---|"]
     for name in free:
-        before, after = (np.asarray(_ROWS[name](scene)) for scene in (start, fitted))
+        before, after = (np.asarray(value(scene, name)) for scene in (start, fitted))
         kind = "light" if name.startswith("light") else "sphere"
         for i, (b, a) in enumerate(zip(before, after, strict=True)):
             lines.append(f"| {name} | {kind} {i + 1} | {_numbers(b)} | {_numbers(a)} |")
@@ -116,8 +105,8 @@ def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
         ax.imshow(np.clip(to_srgb(np.asarray(picture)), 0, 1))
         ax.set_title(title)
     residual = np.asarray(after) - np.asarray(target)
-    worst = residual[..., :][np.arange(residual.shape[0])[:, None], np.arange(residual.shape[1]),
-                             np.abs(residual).argmax(-1)]  # fmt: skip
+    channel = np.abs(residual).argmax(-1, keepdims=True)
+    worst = np.take_along_axis(residual, channel, -1)[..., 0]
     limit = max(float(np.abs(worst).max()), 1e-12)
     shown = axes[3].imshow(worst, cmap="RdBu", vmin=-limit, vmax=limit)
     axes[3].set_title("fit - target, worst channel")

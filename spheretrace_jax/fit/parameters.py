@@ -51,9 +51,14 @@ def check_free(free: tuple[str, ...]) -> None:
 def check_present(scene: Scene, free: tuple[str, ...]) -> None:
     """**Raises:** `InputError` for free parameters of things that the scene does not have."""
     for name in free:
-        if _PARAMETERS[name][0](scene).size == 0:
+        if value(scene, name).size == 0:
             things = "lights" if name.startswith("light") else "spheres"
             raise InputError(f"{name} is free, but the scene has no {things}")
+
+
+def value(scene: Scene, name: str) -> Array:
+    """The array of a scene that a free parameter's name stands for."""
+    return _PARAMETERS[name][0](scene)
 
 
 def length_scale(scene: Scene) -> Scalar:
@@ -73,13 +78,12 @@ def to_solver(scene: Scene, free: tuple[str, ...], scale: Scalar) -> Values:
     """The numbers that a solver starts from: those of the scene, brought within the bounds."""
 
     def one(name: str) -> Array:
-        where, kind = _PARAMETERS[name]
-        value = where(scene)
+        start, kind = value(scene, name), _PARAMETERS[name][1]
         if kind == "positive":
-            return jnp.log(jnp.maximum(value, _LEAST_EXPONENT))
+            return jnp.log(jnp.maximum(start, _LEAST_EXPONENT))
         if kind == "length":
-            return value / scale
-        return jnp.clip(value, 0, 1 if kind == "unit" else None)
+            return start / scale
+        return jnp.clip(start, 0, 1 if kind == "unit" else None)
 
     return {name: one(name) for name in free}
 
