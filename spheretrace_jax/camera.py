@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from ._types import Plane
 from .scene import Camera
@@ -45,10 +44,7 @@ def view_frame(camera: Camera) -> Frame:
 
 
 def pixel_rays(
-    camera: Camera,
-    columns: Float[Array, " width"],
-    rows: Float[Array, " rows"],
-    size: tuple[int, int],
+    camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int]
 ) -> Ray:
     """The rays through points of the window.
 
@@ -57,9 +53,10 @@ def pixel_rays(
     pitch = window/height, on the view plane `distance` before the eye. Row 0 is the top.
 
     **Arguments:** `columns`, `rows`: positions in pixels from the picture's left and top edge
-    (pixel i's centre is at i + 1/2). `size`: the picture's (width, height) in pixels.
+    (pixel i's centre is at i + 1/2), of shapes that broadcast: `(1, width)` and `(rows, 1)` for a
+    whole picture. `size`: the picture's (width, height) in pixels.
 
-    **Returns:** rays from the eye with directions of shape `(rows, width)`.
+    **Returns:** rays from the eye, with a direction for each position.
     """
     frame = view_frame(camera)
     pitch = camera.window / size[1]
@@ -67,7 +64,7 @@ def pixel_rays(
     y = (size[1] / 2 - rows) * pitch
 
     def along(right: Plane, up: Plane, forward: Plane) -> Plane:
-        return (y * up + camera.distance * forward)[:, None] + (x * right)[None, :]
+        return (y * up + camera.distance * forward) + x * right
 
     towards = Vec(
         along(frame.right.x, frame.up.x, frame.forward.x),

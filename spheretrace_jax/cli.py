@@ -43,7 +43,7 @@ class Render:
     size: Annotated[str, arg(metavar="WxH", help="width and height in pixels")] = "512x512"
     highlight: Highlight = "phong"
     bounces: Bounces = 5
-    samples: Samples = None
+    samples: Samples = 1
     dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how to code the file's numbers")
@@ -96,7 +96,7 @@ class FitCommand:
     ] = ",".join(DEFAULT_FREE)
     highlight: Highlight = "phong"
     bounces: Bounces = 5
-    samples: Samples = None
+    samples: Samples = 1
     dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")

@@ -15,8 +15,9 @@ import numpy as np
 from .errors import InputError
 from .scene import Camera, Lights, Planes, Scene, Spheres
 
-#: Samples along each side of a pixel for antialias 1, until edges are covered analytically.
-ANTIALIAS_SAMPLES = 2
+
+# Of more spheres than these, whether any two cut one another is not looked up pair by pair.
+_MANY = 2000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Needs:
     planes: bool = True  #: there are planes, the back plane included
     checkers: bool = True  #: some plane has a checker
     background: bool = True  #: the background is not black
-    antialias: bool = True  #: several rays per pixel
+    antialias: bool = True  #: edges are covered by area
+    crossings: bool = True  #: objects may cut one another, where edges are covered
 
     @property
     def bounces(self) -> bool:
@@ -89,6 +91,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         or "background" in free
         or bool((np.asarray(scene.background) != 0).any()),
         antialias=bool(scene.antialias),
+        crossings=bool(scene.antialias) and (bool(moving) or _some_cross(scene)),
     )
 
 
@@ -116,6 +119,23 @@ def _eye_is_inside(scene: Scene) -> bool:
     return bool((np.linalg.norm(center - eye, axis=1) <= radius + slack).any())
 
 
+def _some_cross(scene: Scene) -> bool:
+    """Whether any two objects cut one another. Of very many objects it is taken for granted."""
+    center = np.asarray(scene.spheres.center, np.float64)
+    radius = np.asarray(scene.spheres.radius, np.float64)
+    planes = len(scene.planes) + (scene.back_plane is not None)
+    if planes > 1 or len(radius) > _MANY or scene.back_plane is not None:
+        return True
+    for point, normal in zip(scene.planes.point, scene.planes.normal, strict=True):
+        normal = np.asarray(normal, np.float64) / np.linalg.norm(normal)
+        if (np.abs((center - np.asarray(point)) @ normal) <= radius).any():
+            return True
+    apart = np.linalg.norm(center[:, None] - center[None], axis=-1)
+    sum_, difference = radius[:, None] + radius[None], np.abs(radius[:, None] - radius[None])
+    cut = (apart <= sum_) & (apart >= difference)
+    return bool(cut[~np.eye(len(radius), dtype=bool)].any())
+
+
 def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
     """Each feature, whether `scene` needs it, and why (or why not): what `info` prints."""
     n = needs(scene)
@@ -135,5 +155,6 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
         "checkers": ("some plane has two colours", "no plane has two colours"),
         "background": ("a colour or a sky", "black"),
         "antialias": ("the flag is 1", "the flag is 0"),
+        "crossings": ("objects may cut one another", "no object cuts another at an edge to cover"),
     }
     return [(name, getattr(n, name), why[not getattr(n, name)]) for name, why in table.items()]

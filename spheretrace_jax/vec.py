@@ -9,6 +9,7 @@ from typing import Union
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from ._types import Mask, Plane
@@ -43,6 +44,12 @@ class Vec(eqx.Module):
 def vec(row: Float[Array, " 3"]) -> Vec:
     """The `Vec` of scalars of one row of an `(n, 3)` array."""
     return Vec(row[0], row[1], row[2])
+
+
+def zeros(shape: tuple[int, ...], dtype: DTypeLike) -> Vec:
+    """Zero vectors, which are also black."""
+    zero = jnp.zeros(shape, dtype)
+    return Vec(zero, zero, zero)
 
 
 def dot(a: Vec, b: Vec) -> Plane:

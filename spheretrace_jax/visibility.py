@@ -10,7 +10,7 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from ._types import Ids, Mask, Plane
+from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
 from .intersect import ray_plane, ray_sphere
 from .needs import Needs
@@ -19,7 +19,7 @@ from .vec import Vec, cross, dot
 from .world import Ball, Flat, Hit, World
 
 
-def _row(table, i):
+def row(table, i):
     """One object's row of a table, as scalars."""
     return jax.tree.map(lambda column: column[i], table)
 
@@ -39,7 +39,7 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
     dtype, shape = ray.direction.x.dtype, ray.direction.x.shape
 
     def sphere(i, best):
-        ball = _row(world.balls, i)
+        ball = row(world.balls, i)
         near, far = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
         own = None if leaving is None else leaving.id == i
         if not needs.inside:
@@ -51,7 +51,7 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
         return _nearer(best, t, i, own & ~leaving.inside)
 
     def plane(i, best):
-        flat = _row(world.flats, i)
+        flat = row(world.flats, i)
         t = ray_plane(ray.origin, ray.direction, flat.point, flat.normal)
         number = i + world.spheres
         return _nearer(best, t, number, None if leaving is None else leaving.id == number)
@@ -97,12 +97,15 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
     light's position, a `Vec` of scalars.
     """
     world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
-    balls, point, flats, light = _of_order_one(world, point, light)
+    scale = near_one(world, light)
+    balls = Ball(world.balls.center * scale, world.balls.radius * scale)
+    flats = Flat(world.flats.point * scale, world.flats.normal)
+    point, light = point * scale, light * scale
     to_light = light - point
     square = dot(to_light, to_light)
 
     def behind_sphere(i, blocked):
-        ball = _row(balls, i)
+        ball = row(balls, i)
         to_center = ball.center - point
         # The cross product needs no division and no root, either of which would split the loop
         # into several kernels: |PC x PL|^2 = |PC|^2 |PL|^2 sin^2.
@@ -121,7 +124,7 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
         return blocked | crossed
 
     def behind_plane(i, blocked):
-        flat = _row(flats, i)
+        flat = row(flats, i)
         sides = dot(point - flat.point, flat.normal) * dot(light - flat.point, flat.normal)
         return blocked | (sides < 0) & (hit.id != i + world.spheres)
 
@@ -135,8 +138,8 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
     return materialise(phase, world.window)
 
 
-def _of_order_one(world: World, point: Vec, light: Vec) -> tuple[Ball, Vec, Flat, Vec]:
-    """The same lengths divided by a power of two near the largest of them, which is exact.
+def near_one(world: World, light: Vec) -> Scalar:
+    """A power of two that scales the largest length to order one, which is exact.
 
     The shadow test multiplies four lengths: in float32 it would overflow where a radius times the
     light's distance exceeds 1.8e19, and shadows would be lost (planets, in metres).
@@ -144,10 +147,7 @@ def _of_order_one(world: World, point: Vec, light: Vec) -> tuple[Ball, Vec, Flat
     sizes = [world.balls.radius, *_parts(world.balls.center), *_parts(light)]
     largest = functools.reduce(jnp.maximum, (jnp.max(jnp.abs(x), initial=0) for x in sizes))
     exponent = jnp.where(largest > 0, jnp.floor(jnp.log2(jnp.where(largest > 0, largest, 1))), 0)
-    scale = jnp.exp2(-exponent)
-    balls = Ball(world.balls.center * scale, world.balls.radius * scale)
-    flats = Flat(world.flats.point * scale, world.flats.normal)
-    return balls, point * scale, flats, light * scale
+    return jnp.exp2(-exponent)
 
 
 def _parts(v: Vec) -> tuple[Plane, Plane, Plane]:

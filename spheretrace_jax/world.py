@@ -16,7 +16,7 @@ from .intersect import perpendicular
 from .needs import Needs
 from .phases import fetch
 from .scene import Scene
-from .vec import Vec, dot, safe_sqrt, unit, vec, where
+from .vec import Vec, dot, norm, safe_sqrt, unit, vec, where
 
 T = TypeVar("T")
 
@@ -119,18 +119,29 @@ def _append(table: T, row: T) -> T:
     return jax.tree.map(lambda column, value: jnp.append(column, value), table, row)
 
 
-def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
+def surface_at(
+    world: World, ray: Ray, hit: Hit, needs: Needs, reach: Plane | None = None
+) -> Surface:
     """The point and normal at which rays meet the objects they are known to hit.
 
     With q the perpendicular from the ray to the centre and h half the chord, the hit point seen
     from the centre is w = -q - h D (from inside -q + h D): no root near zero is ever subtracted,
     so N = w/R is exact for the smallest and the largest sphere. It follows that N.V = h/R.
 
+    **Arguments:** `reach`: None for the hit of the ray itself. Else the mean surface of the part
+    of a pixel that the object covers, for rays that may just miss it: how far |q|, or for planes
+    D.N, varies from the pixel's centre to its border. Its normal is the mean of the normals, as
+    Lambert's term, being linear, needs it: of unit length unless the sphere is as small as the
+    pixel.
+
     **Returns:** a `Surface`; where a ray hits nothing its numbers are finite but mean nothing.
     """
     ball = fetch(world.balls, hit.id)
     _, q = perpendicular(ray.origin, ray.direction, ball.center)
-    half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
+    if reach is None:
+        half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
+    else:
+        half_chord, q = _mean_chord(q, ball.radius, reach)
     per_radius = 1 / jnp.where(ball.radius > 0, ball.radius, 1)
     facing = half_chord * per_radius
     if needs.inside:
@@ -140,7 +151,7 @@ def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
     on_sphere = Surface(ball.center + w, w * per_radius, facing)
     if not needs.planes:
         return on_sphere
-    on_plane = _on_plane(world, ray, hit)
+    on_plane = _on_plane(world, ray, hit, reach)
     is_plane = hit.id >= world.spheres
     return Surface(
         where(is_plane, on_plane.point, on_sphere.point),
@@ -149,12 +160,37 @@ def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
     )
 
 
-def _on_plane(world: World, ray: Ray, hit: Hit) -> Surface:
+def _mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
+    """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere.
+
+    Half the chord is the root of R^2 - q.q, which is spread evenly over a disc: from a^2 to b^2,
+    the mean of the root is 2/3 (a^2 + a b + b^2)/(a + b).
+    """
+    length, square = norm(q), radius * radius
+    near, far = jnp.maximum(length - reach, 0), length + reach
+    # a pixel that only its corner touches has a little of the rim
+    least = 0.1 * radius * jnp.minimum(reach, radius)
+    a = safe_sqrt(square - far * far)
+    b = safe_sqrt(jnp.maximum(square - near * near, least))
+    both = jnp.where(a + b > 0, a + b, 1)
+    outer = safe_sqrt(dot(q, q) + reach * reach)
+    rim = radius / jnp.where(outer > 0, outer, 1)
+    return (a * a + a * b + b * b) / both * (2 / 3), q * jnp.minimum(rim, 1)
+
+
+def _on_plane(world: World, ray: Ray, hit: Hit, reach: Plane | None) -> Surface:
     flat = fetch(world.flats, hit.id - world.spheres)
     slope = dot(ray.direction, flat.normal)
+    away = dot(flat.point - ray.origin, flat.normal)
+    if reach is not None:  # the mean of the slopes that meet the plane
+        side = jnp.where(away < 0, -1, 1).astype(slope.dtype)
+        low = jnp.maximum(slope * side - reach, 0)
+        slope = side * (low + jnp.maximum(slope * side + reach, 0.1 * reach)) / 2
     crosses = (slope != 0) & (hit.id >= world.spheres)
-    t = dot(flat.point - ray.origin, flat.normal) / jnp.where(crosses, slope, 1)
+    t = away / jnp.where(crosses, slope, 1)
     point = ray.origin + ray.direction * jnp.where(crosses, t, 0)
+    if reach is not None:
+        point = point + flat.normal * dot(flat.point - point, flat.normal)
     return Surface(
         point, flat.normal * jnp.where(slope > 0, -1, 1).astype(slope.dtype), jnp.abs(slope)
     )

@@ -12,7 +12,8 @@ from jaxtyping import Array, ArrayLike
 
 from .._types import Highlight
 from ..needs import needs
-from ..render import options as render_options, render
+from ..options import options as render_options
+from ..render import render
 from ..scene import Scene
 from .bounded import BoundedLevenbergMarquardt
 from .parameters import (
@@ -68,7 +69,7 @@ def fit(
     free: Sequence[str] = DEFAULT_FREE,
     highlight: Highlight = "phong",
     bounces: int = 5,
-    samples: int | None = None,
+    samples: int = 1,
     solver: optx.AbstractLeastSquaresSolver | None = None,
     max_steps: int = 100,
     rtol: float | None = None,

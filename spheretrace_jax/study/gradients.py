@@ -61,7 +61,7 @@ def check_gradients(
     height: int = 64,
     highlight: Highlight = "phong",
     bounces: int = 5,
-    samples: int | None = None,
+    samples: int = 1,
     needs: Needs | None = None,
     seed: int = 0,
 ) -> GradientTable:

@@ -1,0 +1,201 @@
+"""Which pixels an edge may run through: silhouettes, shadow edges, lines where surfaces meet.
+
+Only these pixels are composed of layers (`layers.py`); all others are what their one ray sees. A
+ray cone (Amanatides, "Ray Tracing with Cones", SIGGRAPH 1984) bounds how wide a pixel is where its
+ray meets something. The answer may be yes too often, which costs time, but not no where it matters.
+Everything here is discrete and runs under `stop_gradient`.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._types import Mask, Plane
+from .camera import Ray
+from .intersect import perpendicular, ray_plane
+from .options import Options
+from .phases import fetch, materialise, over
+from .scene import Camera
+from .vec import Vec, cross, dot, norm, safe_sqrt, vec
+from .visibility import near_one, row
+from .world import Hit, Surface, World, surface_at
+
+# Half a pixel's diagonal, and as much again as shading near a rim must be averaged to be exact.
+_REACH = 1.25
+
+# Facing, N.V, at which a pixel's footprint on a surface is no longer stretched further.
+_LEAST_FACING = 1e-3
+
+
+class Cone(eqx.Module):
+    """How wide a pixel is along its ray: a radius where the ray starts, and its growth."""
+
+    radius: Plane  #: world units
+    spread: Plane  #: per unit length
+
+    def at(self, t: Plane) -> Plane:
+        """The radius at a distance along the ray."""
+        return self.radius + self.spread * jnp.maximum(t, 0)
+
+
+def pixel_cones(camera: Camera, ray: Ray, forward: Vec, side: Plane) -> Cone:
+    """The cones around pixels' rays. **Arguments:** `side`: of a pixel on the view plane."""
+    spread = _REACH * side / camera.distance * jnp.abs(dot(ray.direction, forward))
+    return Cone(jnp.zeros_like(spread), spread)
+
+
+def onward(cone: Cone, world: World, ray: Ray, hit: Hit, surface: Surface, mirrored: Mask) -> Cone:
+    """The cone after a hit: a sphere spreads what it mirrors."""
+    width = cone.at(dot(surface.point - ray.origin, ray.direction))
+    bend = 2 * width * _curvature(world, hit) / jnp.maximum(surface.facing, _LEAST_FACING)
+    return Cone(width, cone.spread + jnp.where(mirrored, bend, 0))
+
+
+def _curvature(world: World, hit: Hit) -> Plane:
+    """1/R of the object that is hit, 0 for a plane."""
+    radius = fetch(world.balls.radius, hit.id)
+    ball = (hit.id >= 0) & (hit.id < world.spheres) & (radius > 0)
+    return jnp.where(ball, 1 / jnp.where(ball, radius, 1), 0)
+
+
+def near_edge(
+    world: World,
+    lights: Float[Array, "m 3"],
+    ray: Ray,
+    cone: Cone,
+    hit: Hit,
+    leaving: Hit | None,
+    options: Options,
+) -> Mask:
+    """Whether any edge may run through the pixel at this hit.
+
+    **Arguments:** `lights`: their positions. `leaving`: the hit that the rays start from, None for
+    rays from the eye.
+    """
+    needs = options.needs
+    world, lights, ray, cone, hit = jax.lax.stop_gradient((world, lights, ray, cone, hit))
+    surface = surface_at(world, ray, hit, needs)
+    hits = hit.id >= 0
+    t = jnp.where(hits, dot(surface.point - ray.origin, ray.direction), jnp.inf)
+    width = cone.at(jnp.where(hits, t, 0))
+    footprint = width / jnp.maximum(surface.facing, _LEAST_FACING)
+
+    def outline() -> Mask:
+        rim = lambda i, edge: edge | _rim(world, i, ray, cone, hit, t, leaving)
+        edge = over(world.spheres, rim, jnp.full(t.shape, False))
+        if needs.planes:
+            edge = over(world.planes, lambda i, e: e | _horizon(world, i, ray, cone, hit), edge)
+        if needs.crossings:
+            steep = safe_sqrt(footprint * footprint - width * width)
+            meets = lambda i, e: e | _meets_ball(world, i, ray, width, steep, hit, t)
+            edge = over(world.spheres, meets, edge)
+            if needs.planes:
+                meets = lambda i, e: e | _meets_plane(world, i, ray, width, steep, hit, t)
+                edge = over(world.planes, meets, edge)
+        return edge
+
+    edge = materialise(outline, world.window)
+    if not needs.shadows and not needs.highlights:
+        return edge
+
+    def light_edge(k: int, edge: Mask) -> Mask:
+        light = vec(lights[k])
+        phase = lambda: _edge_of_light(world, ray, footprint, hit, surface, light, options)
+        return edge | hits & materialise(phase, world.window)
+
+    return over(len(lights), light_edge, edge)
+
+
+def _rim(
+    world: World, i: int, ray: Ray, cone: Cone, hit: Hit, t: Plane, leaving: Hit | None
+) -> Mask:
+    """A sphere's silhouette; none shows of the sphere that the ray just left."""
+    ball = row(world.balls, i)
+    along, q = perpendicular(ray.origin, ray.direction, ball.center)
+    near = _between(dot(q, q), ball.radius, cone.at(along), 1) & (along > 0)
+    hidden = (hit.id != i) & (t < along)
+    return near & ~hidden if leaving is None else near & ~hidden & (leaving.id != i)
+
+
+def _between(square: Plane, radius: Plane, width: Plane, scale: Plane | int) -> Mask:
+    """Whether a distance, given by its square over `scale`, is within `width` of a radius."""
+    inner, outer = radius - width, radius + width
+    return (square < outer * outer * scale) & ((inner < 0) | (square > inner * inner * scale))
+
+
+def _horizon(world: World, i: int, ray: Ray, cone: Cone, hit: Hit) -> Mask:
+    """Where a plane is seen edge-on, unless a sphere hides it."""
+    level = jnp.abs(dot(ray.direction, row(world.flats, i).normal)) < cone.spread
+    return level & ((hit.id < 0) | (hit.id >= world.spheres))
+
+
+def _meets_ball(
+    world: World, i: int, ray: Ray, width: Plane, steep: Plane, hit: Hit, t: Plane
+) -> Mask:
+    """Whether a sphere cuts the surface hit: both are equally deep somewhere in the pixel.
+
+    **Arguments:** `steep`: how much the depth of the surface hit varies across the pixel.
+    """
+    ball = row(world.balls, i)
+    along, q = perpendicular(ray.origin, ray.direction, ball.center)
+    half = jnp.sqrt(ball.radius * ball.radius - dot(q, q))  # nan = miss
+    apart = jnp.minimum(jnp.abs(along - half - t), jnp.abs(along + half - t))
+    return (apart * half < steep * half + width * norm(q)) & (hit.id != i)
+
+
+def _meets_plane(
+    world: World, i: int, ray: Ray, width: Plane, steep: Plane, hit: Hit, t: Plane
+) -> Mask:
+    flat = row(world.flats, i)
+    slope = jnp.abs(dot(ray.direction, flat.normal))
+    apart = jnp.abs(ray_plane(ray.origin, ray.direction, flat.point, flat.normal) - t)
+    return (apart * slope < steep * slope + width) & (hit.id != i + world.spheres)
+
+
+def _edge_of_light(
+    world: World,
+    ray: Ray,
+    width: Plane,
+    hit: Hit,
+    surface: Surface,
+    light: Vec,
+    options: Options,
+) -> Mask:
+    """Where a light's shadow ends, or its highlight where N.L = 0 cuts it off.
+
+    **Arguments:** `width`: of the pixel on the surface.
+    """
+    needs = options.needs
+    scale = near_one(world, light)
+    light, point, width = light * scale, surface.point * scale, width * scale
+    to_light = light - point
+    square = dot(to_light, to_light)
+    cosine = dot(surface.normal, to_light)
+
+    def shadow(i, edge: Mask) -> Mask:
+        ball = row(world.balls, i)
+        to_center = ball.center * scale - point
+        off = cross(to_center, to_light)
+        along = dot(to_center, to_light)
+        near = _between(dot(off, off), ball.radius * scale, width, square)
+        return edge | near & (along > 0) & (along < square) & (hit.id != i)
+
+    def foot(i, edge: Mask) -> Mask:
+        flat = row(world.flats, i)
+        near = jnp.abs(dot(point - flat.point * scale, flat.normal)) < width
+        return edge | near & (hit.id != i + world.spheres)
+
+    edge = jnp.full(cosine.shape, False)
+    if needs.shadows:
+        edge = over(world.spheres, shadow, edge)
+        if needs.planes:
+            edge = over(world.planes, foot, edge)
+        edge = edge & (cosine > 0)
+    if needs.highlights:
+        curved = norm(to_light) * _curvature(world, hit) / scale + 1
+        ends = jnp.abs(cosine) < width * curved
+        if options.highlight == "phong":  # (R.V)^n is 0 there unless lit from behind
+            ends = ends & (dot(to_light, ray.direction) > 0)
+        edge = edge | ends
+    return edge

@@ -1,0 +1,261 @@
+"""Pixels with edges in them: layers from front to back, each counted by the area it covers.
+
+A layer is an object that covers a part of the pixel's box. Its colour is that of the mean surface
+of that part; shadows cover a part of it likewise. Areas of different edges are multiplied, as if
+independent: exact where one edge runs through a pixel, a few pixels per picture are off where two
+cross. Edges are covered at the first hit and as they are seen in the first reflection or behind
+the first bubble; what is seen after a second one is point-sampled.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Int
+
+from ._types import Mask, Plane
+from .appearance import background, local_color
+from .camera import Ray
+from .coverage import disc, half_plane
+from .intersect import perpendicular
+from .needs import Needs
+from .options import Options
+from .paths import Path, next_path, radiance
+from .phases import fetch, over, smallest_int
+from .scene import Scene
+from .penumbra import unoccluded_part
+from .shading import HIGHLIGHTS, lambert, power, toward_light
+from .varying import Varying
+from .vec import Vec, dot, norm, safe_sqrt, unit, where, zeros
+from .visibility import row
+from .world import Hit, Material, Surface, World, surface_at
+
+#: Layers of one pixel; the last one is taken to cover it.
+MOST_LAYERS = 12
+
+
+class Layer(eqx.Module):
+    """What a layer shows: the discrete half."""
+
+    hit: Hit
+    t: Plane  #: how deep it lies
+    behind: Hit | None  #: the layer behind it, where surfaces may cut one another
+
+
+def layered(
+    scene: Scene,
+    world: World,
+    beam: Varying[Ray],
+    options: Options,
+    alive: Mask,
+    leaving: Hit | None = None,
+) -> Vec:
+    """The mean colour that pixels see.
+
+    **Arguments:** `beam`: the ray through the pixel's centre and how it varies. `alive`: which
+    pixels there are; others are 0. `leaving`: the hit that the rays start from, None for the eye.
+    """
+    needs, shape = options.needs, alive.shape
+    first = Layer(
+        Hit(jnp.full(shape, -1, smallest_int(world.spheres + world.planes)), jnp.full(shape, False)),
+        jnp.zeros(shape, scene.dtype),
+        None,
+    )
+
+    def add(state: tuple, number: Int[Array, ""]) -> tuple[tuple, None]:
+        def go_on(color: Vec, left: Plane, last: Layer) -> tuple[Vec, Plane, Layer]:
+            layer = next_layer(world, beam, needs, last, leaving)
+            part, reach = covered(world, beam, layer, needs)
+            part = jnp.where(number == MOST_LAYERS - 1, 1, part)
+            seen = layer_color(scene, world, beam, layer.hit, reach, options, left > 0, leaving)
+            passed = Layer(layer.hit, layer.t, None)
+            return color + seen * (left * part), left * (1 - part), passed
+
+        def stop(*state):
+            return state
+
+        return lax.cond(jnp.any(state[1] > 0), go_on, stop, *state), None
+
+    start = zeros(shape, scene.dtype), alive.astype(scene.dtype), first
+    most = min(MOST_LAYERS, world.spheres + world.planes + 1)
+    return lax.scan(jax.checkpoint(add), start, jnp.arange(MOST_LAYERS - most, MOST_LAYERS))[0][0]
+
+
+def next_layer(
+    world: World, beam: Varying[Ray], needs: Needs, last: Layer, leaving: Hit | None
+) -> Layer:
+    """The nearest object behind the last layer that covers any part of the pixel."""
+    world, beam, last = jax.lax.stop_gradient((world, beam, last))
+    shape = last.t.shape
+
+    def enter(best: tuple, i, t: Plane, covers: Mask, inside: Mask) -> tuple:
+        """Keeps the nearest two."""
+        after = (t > last.t) | (t == last.t) & (i > last.hit.id)
+        covers = covers & after & (t > 0)
+        (t1, i1, in1), (t2, i2, in2) = best
+        nearest, second = covers & (t < t1), covers & (t < t2)
+        pick = lambda mask, new, old: tuple(jnp.where(mask, a, b) for a, b in zip(new, old, strict=True))
+        new = (t, i, inside)
+        moved = pick(nearest, (t1, i1, in1), pick(second, new, (t2, i2, in2)))
+        return pick(nearest, new, (t1, i1, in1)), moved
+
+    def sphere(i, best: tuple) -> tuple:
+        ball = row(world.balls, i)
+        foot = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center))
+        along, q = foot.value
+        reach = (norm(foot.dx[1]) + norm(foot.dy[1])) / 2
+        square = ball.radius * ball.radius - dot(q, q)
+        half_chord = safe_sqrt(square)
+        near, far = along - half_chord, along + half_chord
+        covers = norm(q) < ball.radius + reach
+        own = jnp.full(shape, False) if leaving is None else leaving.id == i
+        if not needs.inside:
+            return enter(best, i, near, covers & ~own, jnp.full(shape, False))
+        inside = (near <= 0) & (square > 0)
+        if leaving is not None:
+            covers, inside = covers & (~own | leaving.inside), inside | own
+        return enter(best, i, jnp.where(inside, far, near), covers, inside)
+
+    def plane(i, best: tuple) -> tuple:
+        flat = row(world.flats, i)
+        slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
+        away = dot(flat.point - beam.value.origin, flat.normal)
+        side = jnp.where(away < 0, -1, 1).astype(away.dtype)
+        reach = (jnp.abs(slope.dx) + jnp.abs(slope.dy)) / 2
+        toward = side * slope.value
+        t = jnp.abs(away) / jnp.maximum(toward, jnp.where(reach > 0, 0.1 * reach, 1))
+        covers = (toward > -reach) & (away != 0)
+        number = i + world.spheres
+        if leaving is not None:
+            covers = covers & (leaving.id != number)
+        return enter(best, number, t, covers, jnp.full(shape, False))
+
+    dtype = smallest_int(world.spheres + world.planes)
+    none = (
+        jnp.full(shape, jnp.inf, beam.value.direction.x.dtype),
+        jnp.full(shape, -1, jnp.int32),
+        jnp.full(shape, False),
+    )
+    best = over(world.spheres, sphere, (none, none))
+    if needs.planes:
+        best = over(world.planes, plane, best)
+    (t, number, inside), (_, second, second_inside) = best
+    behind = Hit(second.astype(dtype), second_inside) if needs.crossings else None
+    return Layer(Hit(number.astype(dtype), inside), t, behind)
+
+
+def covered(
+    world: World, beam: Varying[Ray], layer: Layer, needs: Needs
+) -> tuple[Plane, Plane]:
+    """How much of the pixel a layer covers, and how far its edge function varies (`surface_at`)."""
+    part, reach = _outline(world, beam, layer.hit, needs)
+    if layer.behind is None:
+        return part, reach
+    other, other_reach = _outline(world, beam, layer.behind, needs)
+
+    def ahead(ray: Ray) -> Plane:
+        depth = lambda hit, reach: dot(
+            surface_at(world, ray, hit, needs, reach).point - ray.origin, ray.direction
+        )
+        return depth(layer.behind, other_reach) - depth(layer.hit, reach)
+
+    f = beam.map(ahead)
+    hidden = other * (1 - half_plane(f.value, f.dx, f.dy))
+    return part * jnp.where(layer.behind.id >= 0, 1 - hidden, 1), reach
+
+
+def _outline(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> tuple[Plane, Plane]:
+    """How much of a pixel is inside an object's silhouette; all of it, if there is none."""
+    ball = fetch(world.balls, hit.id)
+    is_ball = (hit.id >= 0) & (hit.id < world.spheres)
+    q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1])
+    radius = jnp.where(ball.radius > 0, ball.radius, 1)
+    part = disc(q.value, q.dx, q.dy, beam.value.direction, radius)
+    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
+    part = jnp.where(is_ball & ~hit.inside, part, 1)
+    if not needs.planes:
+        return part, reach
+    flat = fetch(world.flats, hit.id - world.spheres)
+    slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
+    away = dot(flat.point - beam.value.origin, flat.normal)
+    side = jnp.where(away < 0, -1, 1).astype(away.dtype)
+    level = half_plane(side * slope.value, slope.dx, slope.dy)
+    is_plane = hit.id >= world.spheres
+    level_reach = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
+    return jnp.where(is_plane, level, part), jnp.where(is_plane, level_reach, reach)
+
+
+def layer_color(
+    scene: Scene,
+    world: World,
+    beam: Varying[Ray],
+    hit: Hit,
+    reach: Plane,
+    options: Options,
+    alive: Mask,
+    leaving: Hit | None,
+) -> Vec:
+    """The mean colour of the part of a pixel that a layer covers."""
+    needs, ray = options.needs, beam.value
+    mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
+    surface = beam.map(mean_surface)
+    material = fetch(world.materials, hit.id)
+    terms = lambda light: _terms(world, ray, hit, surface, material, light, options)
+    color = local_color(scene, world, hit, surface.value, material, needs, terms)
+    if needs.background:
+        color = where(hit.id >= 0, color, background(scene, ray.direction))
+    else:
+        color = where(hit.id >= 0, color, zeros(alive.shape, scene.dtype))
+    if not options.bounces:
+        return color
+    later = dataclasses.replace(options, bounces=options.bounces - 1)
+
+    def choose(choice: int | Int[Array, ""]) -> Vec:
+        def onward(ray: Ray) -> Ray:
+            path = Path(ray, hit, jnp.ones_like(reach), alive, None)
+            path = next_path(world, path, mean_surface(ray), material, needs, choice)
+            return Ray(path.ray.origin, unit(path.ray.direction))
+
+        path = Path(ray, hit, jnp.ones_like(reach), alive, None)
+        path = next_path(world, path, surface.value, material, needs, choice)
+        if leaving is None:
+            seen = layered(scene, world, beam.map(onward), later, path.alive, path.hit)
+        else:
+            seen = radiance(scene, world, onward(ray), later, path.hit, path.alive)[0]
+            seen = where(path.alive, seen, zeros(alive.shape, scene.dtype))
+        return seen * path.weight
+
+    if not needs.branching:
+        return color + choose(0)
+    add = lambda total, choice: (total + choose(choice), None)
+    return lax.scan(jax.checkpoint(add), color, jnp.arange(2, dtype=jnp.int32))[0]
+
+
+def _terms(
+    world: World,
+    ray: Ray,
+    hit: Hit,
+    surface: Varying[Surface],
+    material: Material,
+    light: Vec,
+    options: Options,
+) -> tuple[Plane, Plane]:
+    """N.L and the highlight of one light, each over the part of the pixel where the light reaches.
+
+    The highlight ends abruptly where N.L = 0, which is an edge too.
+    """
+    needs = options.needs
+    to_light = toward_light(surface.value, light)
+    cosine = surface.map(lambda s: lambert(s, toward_light(s, light)))
+    part = (hit.id >= 0).astype(cosine.value.dtype)
+    if needs.shadows:
+        point = Varying(surface.value.point, surface.dx.point, surface.dy.point)
+        part = part * unoccluded_part(world, point, hit, light, needs)
+    diffuse = jnp.maximum(cosine.value, 0) * part
+    if not needs.highlights:
+        return diffuse, jnp.zeros_like(diffuse)
+    towards_eye = HIGHLIGHTS[options.highlight](surface.value, to_light, ray.direction)
+    shine = power(towards_eye, material.exponent)
+    return diffuse, shine * part * half_plane(cosine.value, cosine.dx, cosine.dy)

@@ -1,0 +1,50 @@
+"""`Options`: what is static about a picture besides its scene, checked."""
+
+import equinox as eqx
+
+from ._types import Highlight
+from .errors import InputError
+from .needs import Needs, needs as needs_of
+from .scene import Scene
+from .shading import HIGHLIGHTS
+
+#: More samples along a pixel's side, or more bounces where paths branch, would never end.
+MOST_SAMPLES, MOST_BRANCHINGS = 256, 16
+
+
+class Options(eqx.Module):
+    """What is static about a picture besides its scene."""
+
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    highlight: Highlight = eqx.field(static=True)
+    bounces: int = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    needs: Needs = eqx.field(static=True)
+
+
+def options(
+    scene: Scene,
+    width: int,
+    height: int,
+    highlight: Highlight = "phong",
+    bounces: int = 5,
+    samples: int = 1,
+    needs: Needs | None = None,
+) -> Options:
+    """Checks and completes the static arguments of `render`."""
+    for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
+        if value < least:
+            raise InputError(f"{name} must be at least {least}, got {value}")
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise InputError(f"samples must be in 1..{MOST_SAMPLES}, got {samples}")
+    if highlight not in HIGHLIGHTS:
+        raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
+    needs = needs_of(scene) if needs is None else needs
+    bounces = bounces if needs.bounces else 0
+    if needs.branching and bounces > MOST_BRANCHINGS:
+        raise InputError(
+            "where an object both reflects and transmits, n bounces follow 2^n paths: "
+            f"bounces must be at most {MOST_BRANCHINGS}, got {bounces}"
+        )
+    return Options(width, height, highlight, bounces, samples, needs)

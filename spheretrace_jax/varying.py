@@ -1,0 +1,48 @@
+"""`Varying`: a quantity at a pixel's centre and how it varies across the pixel.
+
+A beam is a varying ray: what Igehy ("Tracing Ray Differentials", SIGGRAPH 1999) calls a ray with
+its differentials. They pass through hits and reflections by the chain rule, which is jax's to apply.
+"""
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._types import Plane
+from .camera import Ray, pixel_rays
+from .scene import Camera
+
+T = TypeVar("T")
+S = TypeVar("S")
+
+
+class Varying(eqx.Module, Generic[T]):
+    """`value`, a pytree of planes, and its derivatives by the position in pixels.
+
+    `dx` is the derivative to the right, `dy` the one down.
+    """
+
+    value: T
+    dx: T
+    dy: T
+
+    def map(self, function: Callable[[T], S]) -> "Varying[S]":
+        """`function` of the quantity, by the chain rule."""
+        value, dx = jax.jvp(function, (self.value,), (self.dx,))
+        _, dy = jax.jvp(function, (self.value,), (self.dy,))
+        return Varying(value, dx, dy)
+
+
+def pixel_beams(
+    camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int], side: float
+) -> Varying[Ray]:
+    """The rays of `pixel_rays` with their differentials.
+
+    **Arguments:** `side`: of the pixel in whole pixels, 1/k for one of k x k samples.
+    """
+    zero, step = jnp.zeros_like(columns), jnp.full_like(columns, side)
+    through = lambda at: pixel_rays(camera, at[0], at[1], size)
+    return Varying((columns, rows), (step, zero), (zero, step)).map(through)
