@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ._types import Plane
+from .phases import keep
 from .vec import Vec, cross, dot, safe_sqrt, unit
 
 # Where rounding is more than one part in this many of a parallelogram's area, as it is seen too
@@ -62,7 +63,7 @@ def disc(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: Plane) -> Plane:
     first = unit(qx - axis * dot(qx, axis))
     second = cross(axis, first)
     to_plane = lambda v: (dot(v, first), dot(v, second))
-    (cx, cy), (xx, xy), (yx, yy) = to_plane(q), to_plane(qx), to_plane(qy)
+    (cx, cy), (xx, xy), (yx, yy) = keep((to_plane(q), to_plane(qx), to_plane(qy)))
     area = xx * yy - xy * yx
     square = xx * xx + xy * xy + yx * yx + yy * yy
     rounding = float(jnp.finfo(area.dtype).eps) * (square + safe_sqrt(square))
@@ -97,7 +98,7 @@ def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
     # the integrand vanishes where the side crosses the circle, so that moving these ends changes
     # nothing: without their derivatives no root is ever differentiated near 0
     enter, leave = jax.lax.stop_gradient(
-        (jnp.clip(middle - chord, 0, 1), jnp.clip(middle + chord, 0, 1))
+        keep((jnp.clip(middle - chord, 0, 1), jnp.clip(middle + chord, 0, 1)))
     )
 
     def stretch(start: Plane, end: Plane) -> Plane:

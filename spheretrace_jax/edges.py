@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ._types import Mask, Plane
-from .camera import Ray
+from .camera import Ray, view_frame
 from .intersect import perpendicular, ray_plane
 from .options import Options
 from .phases import fetch, materialise, over
@@ -21,8 +21,8 @@ from .vec import Vec, cross, dot, norm, safe_sqrt, vec
 from .visibility import near_one, row
 from .world import Hit, Surface, World, surface_at
 
-# Half a pixel's diagonal, and as much again as shading near a rim must be averaged to be exact.
-_REACH = 1.25
+# In pixels: half the diagonal, and a little, as shading near a rim is averaged too.
+_REACH = 1.0
 
 # Facing, N.V, at which a pixel's footprint on a surface is no longer stretched further.
 _LEAST_FACING = 1e-3
@@ -39,9 +39,10 @@ class Cone(eqx.Module):
         return self.radius + self.spread * jnp.maximum(t, 0)
 
 
-def pixel_cones(camera: Camera, ray: Ray, forward: Vec, side: Plane) -> Cone:
+def pixel_cones(camera: Camera, ray: Ray, side: Plane) -> Cone:
     """The cones around pixels' rays. **Arguments:** `side`: of a pixel on the view plane."""
-    spread = _REACH * side / camera.distance * jnp.abs(dot(ray.direction, forward))
+    straight = dot(ray.direction, view_frame(camera).forward)
+    spread = _REACH * side / camera.distance * straight
     return Cone(jnp.zeros_like(spread), spread)
 
 

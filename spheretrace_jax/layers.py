@@ -23,7 +23,7 @@ from .intersect import perpendicular
 from .needs import Needs
 from .options import Options
 from .paths import Path, next_path, radiance
-from .phases import fetch, over, smallest_int
+from .phases import fetch, keep, smallest_int
 from .scene import Scene
 from .penumbra import unoccluded_part
 from .shading import HIGHLIGHTS, lambert, power, toward_light
@@ -33,11 +33,11 @@ from .visibility import row
 from .world import Hit, Material, Surface, World, surface_at
 
 #: Layers of one pixel; the last one is taken to cover it.
-MOST_LAYERS = 12
+MOST_LAYERS = 8
 
 
 class Layer(eqx.Module):
-    """What a layer shows: the discrete half."""
+    """What shows in a pixel, the discrete half."""
 
     hit: Hit
     t: Plane  #: how deep it lies
@@ -57,37 +57,61 @@ def layered(
     **Arguments:** `beam`: the ray through the pixel's centre and how it varies. `alive`: which
     pixels there are; others are 0. `leaving`: the hit that the rays start from, None for the eye.
     """
-    needs, shape = options.needs, alive.shape
-    first = Layer(
-        Hit(jnp.full(shape, -1, smallest_int(world.spheres + world.planes)), jnp.full(shape, False)),
-        jnp.zeros(shape, scene.dtype),
-        None,
-    )
+    needs, black = options.needs, zeros(alive.shape, scene.dtype)
+    layers, shown = _peel(world, beam, needs, alive, leaving)
 
-    def add(state: tuple, number: Int[Array, ""]) -> tuple[tuple, None]:
-        def go_on(color: Vec, left: Plane, last: Layer) -> tuple[Vec, Plane, Layer]:
-            layer = next_layer(world, beam, needs, last, leaving)
-            part, reach = covered(world, beam, layer, needs)
-            part = jnp.where(number == MOST_LAYERS - 1, 1, part)
-            seen = layer_color(scene, world, beam, layer.hit, reach, options, left > 0, leaving)
-            passed = Layer(layer.hit, layer.t, None)
-            return color + seen * (left * part), left * (1 - part), passed
+    def layer(layer: Layer, shown: Mask) -> tuple[Plane, Vec]:
+        def see() -> tuple[Plane, Vec]:
+            part, reach = keep(covered(world, beam, layer, needs))
+            color = layer_color(scene, world, beam, layer.hit, reach, options, shown, leaving)
+            return jnp.where(shown, part, 0), where(shown, color, black)
 
-        def stop(*state):
-            return state
+        return lax.cond(jnp.any(shown), see, lambda: (black.x, black))
 
-        return lax.cond(jnp.any(state[1] > 0), go_on, stop, *state), None
+    parts, colors = lax.map(lambda x: jax.checkpoint(layer)(*x), (layers, shown))
+    # what passes all layers in front, and in the end all there are
+    passed = jnp.cumprod(1 - parts, axis=0)
+    weight = parts * jnp.concatenate([jnp.ones_like(passed[:1]), passed[:-1]])
+    color = jax.tree.map(lambda c: jnp.sum(c * weight, axis=0), colors)
+    if not needs.background:
+        return color
+    seen = where(alive, background(scene, beam.value.direction), black)
+    return color + seen * passed[-1]
 
-    start = zeros(shape, scene.dtype), alive.astype(scene.dtype), first
-    most = min(MOST_LAYERS, world.spheres + world.planes + 1)
-    return lax.scan(jax.checkpoint(add), start, jnp.arange(MOST_LAYERS - most, MOST_LAYERS))[0][0]
+
+def _peel(
+    world: World, beam: Varying[Ray], needs: Needs, alive: Mask, leaving: Hit | None
+) -> tuple[Layer, Mask]:
+    """The layers from front to back, stacked, and which pixels have them; without derivatives."""
+    world, beam = jax.lax.stop_gradient((world, beam))
+    none = Hit(jnp.full(alive.shape, -1, _id_type(world)), jnp.full(alive.shape, False))
+    start = Layer(none, jnp.zeros(alive.shape, world.window.dtype), none if needs.crossings else None)
+
+    def further(state: tuple[Layer, Mask], number: Int[Array, ""]) -> tuple:
+        def next_() -> tuple[Layer, Mask, Mask]:
+            layer = keep(next_layer(world, beam, needs, state[0], leaving))
+            some = state[1] & (layer.hit.id >= 0)
+            part, _ = covered(world, beam, layer, needs)
+            return layer, some, some & (part < 1)
+
+        def stop() -> tuple[Layer, Mask, Mask]:
+            return state[0], state[1], state[1]
+
+        layer, some, more = lax.cond(jnp.any(state[1]), next_, stop)
+        return (layer, more), (layer, some)
+
+    most = min(MOST_LAYERS, world.spheres + world.planes)
+    return lax.scan(further, (start, alive), jnp.arange(most, dtype=jnp.int32))[1]
+
+
+def _id_type(world: World) -> jnp.dtype:
+    return smallest_int(world.spheres + world.planes)
 
 
 def next_layer(
     world: World, beam: Varying[Ray], needs: Needs, last: Layer, leaving: Hit | None
 ) -> Layer:
     """The nearest object behind the last layer that covers any part of the pixel."""
-    world, beam, last = jax.lax.stop_gradient((world, beam, last))
     shape = last.t.shape
 
     def enter(best: tuple, i, t: Plane, covers: Mask, inside: Mask) -> tuple:
@@ -132,15 +156,15 @@ def next_layer(
             covers = covers & (leaving.id != number)
         return enter(best, number, t, covers, jnp.full(shape, False))
 
-    dtype = smallest_int(world.spheres + world.planes)
+    dtype = _id_type(world)
     none = (
         jnp.full(shape, jnp.inf, beam.value.direction.x.dtype),
         jnp.full(shape, -1, jnp.int32),
         jnp.full(shape, False),
     )
-    best = over(world.spheres, sphere, (none, none))
+    best = lax.fori_loop(0, world.spheres, sphere, (none, none))
     if needs.planes:
-        best = over(world.planes, plane, best)
+        best = lax.fori_loop(0, world.planes, plane, best)
     (t, number, inside), (_, second, second_inside) = best
     behind = Hit(second.astype(dtype), second_inside) if needs.crossings else None
     return Layer(Hit(number.astype(dtype), inside), t, behind)
@@ -204,10 +228,6 @@ def layer_color(
     material = fetch(world.materials, hit.id)
     terms = lambda light: _terms(world, ray, hit, surface, material, light, options)
     color = local_color(scene, world, hit, surface.value, material, needs, terms)
-    if needs.background:
-        color = where(hit.id >= 0, color, background(scene, ray.direction))
-    else:
-        color = where(hit.id >= 0, color, zeros(alive.shape, scene.dtype))
     if not options.bounces:
         return color
     later = dataclasses.replace(options, bounces=options.bounces - 1)

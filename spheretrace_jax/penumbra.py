@@ -5,12 +5,13 @@ The lecture's lights are points, so shadows are sharp; only a pixel can be partl
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from ._types import Ids, Mask, Plane
 from .coverage import disc, half_plane
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch, over, smallest_int
+from .phases import fetch, keep, smallest_int
 from .varying import Varying
 from .vec import Vec, dot, norm, unit
 from .visibility import row
@@ -29,7 +30,7 @@ def unoccluded_part(
 
     **Arguments:** `point`: the surface's point, with `hit` the objects it lies on.
     """
-    blocked, edges = _occluders(world, point, hit, light, needs)
+    blocked, edges = keep(_occluders(world, point, hit, light, needs))
     part = 1 - blocked.astype(point.value.x.dtype)
     for number in edges:
         part = part * (1 - _shadow(world, point, number, light, needs))
@@ -107,5 +108,5 @@ def _occluders(
 
     none = jnp.full(shape, -1, smallest_int(world.spheres + world.planes))
     state = jnp.full(shape, False), (none,) * MOST_EDGES
-    state = over(world.spheres, sphere, state)
-    return over(world.planes, plane, state) if needs.planes else state
+    state = lax.fori_loop(0, world.spheres, sphere, state)
+    return lax.fori_loop(0, world.planes, plane, state) if needs.planes else state

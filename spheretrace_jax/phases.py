@@ -55,6 +55,11 @@ def materialise_pair(
     return packed.real, packed.imag
 
 
+def keep(values: T) -> T:
+    """The same values, computed once and kept: `materialise` for what has no witness at hand."""
+    return lax.optimization_barrier(values)
+
+
 def over(count: int, body: Callable[[int | Int[Array, ""], T], T], start: T) -> T:
     """`body(count - 1, ... body(1, body(0, start)))`: written out if short, a loop if long."""
     if count <= UNROLL:

@@ -6,10 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from ._types import Highlight, Mask, Picture
-from .camera import pixel_rays, view_frame
+from .camera import pixel_rays
 from .edges import pixel_cones
 from .layers import layered
 from .needs import Needs
@@ -22,7 +23,7 @@ from .vec import Vec, where, zeros
 from .world import World, build_world
 
 # Pixels with edges are composed this many at a time, as few as keeps the overhead small.
-EDGE_PIXELS = 1 << 11
+EDGE_PIXELS = 1 << 10
 
 
 def render(
@@ -75,74 +76,85 @@ def _render(scene: Scene, options: Options) -> Picture:
     def strip(first_row: Int[Array, ""]) -> Float[Array, "rows width 3"]:
         top = first_row.astype(dtype)
 
-        def sample(total: Vec, place: tuple) -> tuple[Vec, None]:
+        def sample(total: Array, place: tuple) -> tuple[Array, None]:
             left, above = place[0], top + place[1]
             return total + _sample(scene, world, options, rows, left, above), None
 
         if samples == 1:
-            color = _sample(scene, world, options, rows, places[0], top + places[0])
-        else:
-            grid = [g.reshape(-1) for g in jnp.meshgrid(places, places)]
-            start = zeros((rows, width), dtype)
-            color = lax.scan(jax.checkpoint(sample), start, tuple(grid))[0] * (1 / samples**2)
-        return jnp.stack([color.x, color.y, color.z], axis=-1)
+            return _sample(scene, world, options, rows, places[0], top + places[0])
+        grid = [g.reshape(-1) for g in jnp.meshgrid(places, places)]
+        start = jnp.zeros((rows, width, 3), dtype)
+        return lax.scan(sample, start, tuple(grid))[0] * (1 / samples**2)
 
     if strips == 1:
         return strip(jnp.zeros((), jnp.int32))
-    # the reverse pass traces a strip again rather than keep the temporaries of all of them
-    picture = lax.map(jax.checkpoint(strip), jnp.arange(strips, dtype=jnp.int32) * rows)
+    picture = lax.map(strip, jnp.arange(strips, dtype=jnp.int32) * rows)
     return picture.reshape(strips * rows, width, 3)[:height]
 
 
 def _sample(
     scene: Scene, world: World, options: Options, rows: int, left: Array, top: Array
-) -> Vec:
+) -> Float[Array, "rows width 3"]:
     """One sample of each pixel of a strip. **Arguments:** `left`, `top`: where the first one is."""
     dtype, size = scene.dtype, (options.width, options.height)
-    columns = left + jnp.arange(options.width, dtype=dtype)
-    lines = top + jnp.arange(rows, dtype=dtype)
-    ray = pixel_rays(scene.camera, columns[None, :], lines[:, None], size)
-    if not options.needs.antialias:
-        return radiance(scene, world, ray, options)[0]
-    side = scene.camera.window / (options.height * options.samples)
-    cone = pixel_cones(scene.camera, ray, view_frame(scene.camera).forward, side)
-    color, edge = radiance(scene, world, ray, options, cone=cone)
-    black = zeros(edge.shape, dtype)
 
-    def compose(pixels: Int[Array, " n"], alive: Mask) -> Vec:
+    # the reverse pass traces a strip again rather than keep the temporaries of all of them
+    @jax.checkpoint
+    def trace(scene: Scene, world: World) -> tuple[Float[Array, "rows width 3"], Mask]:
+        columns = left + jnp.arange(options.width, dtype=dtype)
+        lines = top + jnp.arange(rows, dtype=dtype)
+        ray = pixel_rays(scene.camera, columns[None, :], lines[:, None], size)
+        cone = None
+        if options.needs.antialias:
+            side = scene.camera.window / (options.height * options.samples)
+            cone = pixel_cones(scene.camera, ray, side)
+        color, edge = radiance(scene, world, ray, options, cone=cone)
+        return _rgb(where(edge, zeros(edge.shape, dtype), color)), edge
+
+    color, edge = trace(scene, world)
+    if not options.needs.antialias:
+        return color
+
+    def compose(pixels: Int[Array, " n"], alive: Mask) -> Float[Array, "n 3"]:
         column = left + (pixels % options.width).astype(dtype)
         line = top + (pixels // options.width).astype(dtype)
         beam = pixel_beams(scene.camera, column, line, size, 1 / options.samples)
-        return layered(scene, world, beam, options, alive)
+        return _rgb(layered(scene, world, beam, options, alive))
 
-    return where(edge, black, color) + _of_marked(compose, edge)
+    return _replace(color, edge, compose)
 
 
-def _of_marked(compose: Callable[[Int[Array, " n"], Mask], Vec], marked: Mask) -> Vec:
-    """`compose` of the pixels that are marked, as many at a time as pay; 0 elsewhere.
+def _rgb(color: Vec) -> Float[Array, "*pixels 3"]:
+    return jnp.stack([color.x, color.y, color.z], axis=-1)
+
+
+def _replace(
+    picture: Float[Array, "rows width 3"],
+    marked: Mask,
+    compose: Callable[[Int[Array, " n"], Mask], Float[Array, "n 3"]],
+) -> Float[Array, "rows width 3"]:
+    """Adds `compose` of the pixels that are marked, only as many at a time as there are.
 
     **Arguments:** `compose`: from pixels' numbers, and which of them count, to their colours.
     """
+    size = marked.size
+    n = min(EDGE_PIXELS, size)
+    chunks = -(-size // n)
     flat = marked.reshape(-1)
-    rank = jnp.cumsum(flat, dtype=jnp.int32)  # of a marked pixel among the marked, from 1
-    count, n = rank[-1], min(EDGE_PIXELS, flat.size)
+    rank = jnp.cumsum(flat, dtype=jnp.int32)
+    place = jnp.where(flat, rank - 1, chunks * n)
+    numbers = jnp.arange(size, dtype=jnp.int32)
+    pixels = size + jnp.arange(chunks * n, dtype=jnp.int32)  # those beyond the picture are dropped
+    pixels = pixels.at[place].set(numbers, mode="drop", unique_indices=True)
 
-    def some(start: Int[Array, ""]) -> Vec:
-        def colors() -> Vec:
-            ranks = start + 1 + jnp.arange(n, dtype=jnp.int32)
-            pixels = jnp.searchsorted(rank, ranks).astype(jnp.int32)
-            return compose(pixels, ranks <= count)
+    # the reverse pass composes again rather than keep what only few of the chunks have
+    @jax.checkpoint
+    def some(pixels: Int[Array, " n"]) -> Float[Array, "n 3"]:
+        alive = pixels < size
+        black = lambda *_: jnp.zeros((n, 3), picture.dtype)
+        return lax.cond(alive[0], compose, black, jnp.where(alive, pixels, 0), alive)
 
-        shape = jax.eval_shape(colors)
-        return lax.cond(
-            start < count, colors, lambda: jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
-        )
-
-    starts = jnp.arange(-(-flat.size // n), dtype=jnp.int32) * n
-    colors = lax.map(jax.checkpoint(some), starts)
-
-    def spread(found: Float[Array, "chunks n"]) -> Float[Array, "rows width"]:
-        value = found.reshape(-1)[jnp.maximum(rank - 1, 0)]
-        return jnp.where(flat, value, 0).reshape(marked.shape)
-
-    return jax.tree.map(spread, colors)
+    colors = lax.map(some, pixels.reshape(chunks, n)).reshape(-1, 3)
+    # a scatter, whose transpose is a gather, and not the gather by rank, whose transpose scatters
+    added = picture.reshape(-1, 3).at[pixels].add(colors, mode="drop", unique_indices=True)
+    return added.reshape(picture.shape)

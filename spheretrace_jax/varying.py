@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from ._types import Plane
 from .camera import Ray, pixel_rays
+from .phases import keep
 from .scene import Camera
 
 T = TypeVar("T")
@@ -33,7 +34,8 @@ class Varying(eqx.Module, Generic[T]):
         """`function` of the quantity, by the chain rule."""
         value, dx = jax.jvp(function, (self.value,), (self.dx,))
         _, dy = jax.jvp(function, (self.value,), (self.dy,))
-        return Varying(value, dx, dy)
+        # the three share most of their work, which would be done again for each of their users
+        return keep(Varying(value, dx, dy))
 
 
 def pixel_beams(
