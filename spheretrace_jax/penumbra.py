@@ -11,7 +11,7 @@ from ._types import Ids, Mask, Plane
 from .coverage import disc, half_plane
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch, keep, smallest_int
+from .phases import fetch, smallest_int
 from .varying import Varying
 from .vec import Vec, dot, norm, unit
 from .visibility import row
@@ -30,7 +30,7 @@ def unoccluded_part(
 
     **Arguments:** `point`: the surface's point, with `hit` the objects it lies on.
     """
-    blocked, edges = keep(_occluders(world, point, hit, light, needs))
+    blocked, edges = _occluders(world, point, hit, light, needs)
     part = 1 - blocked.astype(point.value.x.dtype)
     for number in edges:
         part = part * (1 - _shadow(world, point, number, light, needs))

@@ -56,8 +56,18 @@ def materialise_pair(
 
 
 def keep(values: T) -> T:
-    """The same values, computed once and kept: `materialise` for what has no witness at hand."""
-    return lax.optimization_barrier(values)
+    """The same values, computed once and kept, not computed again for each of their uses.
+
+    `materialise` for small loops, of edge pixels: without it their fused loops compute the same
+    things thousands of times over (947 against 1.6 ms for 2048 pixels).
+    """
+    if jax.default_backend() != "cpu" or jax.__version_info__ >= (0, 12):
+        return lax.optimization_barrier(values)
+    # dropped there, as `materialise` says; a branch on what holds of any number, nan too, is not
+    leaves = jax.tree.leaves(values)
+    some = next(leaf for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)).reshape(-1)[0]
+    zeros = lambda v: jax.tree.map(jnp.zeros_like, v)
+    return lax.cond((some < 1) | (some >= 1) | jnp.isnan(some), lambda v: v, zeros, values)
 
 
 def over(count: int, body: Callable[[int | Int[Array, ""], T], T], start: T) -> T:

@@ -32,8 +32,8 @@ class Varying(eqx.Module, Generic[T]):
 
     def map(self, function: Callable[[T], S]) -> "Varying[S]":
         """`function` of the quantity, by the chain rule."""
-        value, dx = jax.jvp(function, (self.value,), (self.dx,))
-        _, dy = jax.jvp(function, (self.value,), (self.dy,))
+        value, slope = jax.linearize(function, self.value)
+        dx, dy = slope(self.dx), slope(self.dy)
         # the three share most of their work, which would be done again for each of their users
         return keep(Varying(value, dx, dy))
 
