@@ -23,7 +23,7 @@ from .intersect import perpendicular
 from .needs import Needs
 from .options import Options
 from .paths import Path, next_path, radiance
-from .phases import fetch, keep, smallest_int
+from .phases import fetch, keep, over, smallest_int
 from .scene import Scene
 from .penumbra import unoccluded_part
 from .shading import HIGHLIGHTS, lambert, power, toward_light
@@ -162,9 +162,9 @@ def next_layer(
         jnp.full(shape, -1, jnp.int32),
         jnp.full(shape, False),
     )
-    best = lax.fori_loop(0, world.spheres, sphere, (none, none))
+    best = over(world.spheres, sphere, (none, none), unroll=0)
     if needs.planes:
-        best = lax.fori_loop(0, world.planes, plane, best)
+        best = over(world.planes, plane, best, unroll=0)
     (t, number, inside), (_, second, second_inside) = best
     behind = Hit(second.astype(dtype), second_inside) if needs.crossings else None
     return Layer(Hit(number.astype(dtype), inside), t, behind)

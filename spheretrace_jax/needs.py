@@ -35,8 +35,7 @@ class Needs:
     planes: bool = True  #: there are planes, the back plane included
     checkers: bool = True  #: some plane has a checker
     background: bool = True  #: the background is not black
-    antialias: bool = True  #: edges are covered by area
-    crossings: bool = True  #: objects may cut one another, where edges are covered
+    crossings: bool = True  #: objects may cut one another (an edge, where edges are covered)
 
     @property
     def bounces(self) -> bool:
@@ -90,7 +89,6 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         background=scene.sky is not None
         or "background" in free
         or bool((np.asarray(scene.background) != 0).any()),
-        antialias=bool(scene.antialias),
         crossings=bool(scene.antialias) and (bool(moving) or _some_cross(scene)),
     )
 
@@ -154,7 +152,8 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
         "planes": ("there are planes", "there are none"),
         "checkers": ("some plane has two colours", "no plane has two colours"),
         "background": ("a colour or a sky", "black"),
-        "antialias": ("the flag is 1", "the flag is 0"),
-        "crossings": ("objects may cut one another", "no object cuts another at an edge to cover"),
+        "antialias": ("the flag is 1: edges are covered by area", "the flag is 0"),
+        "crossings": ("objects may cut one another", "no object cuts another, or no edge is covered"),
     }
-    return [(name, getattr(n, name), why[not getattr(n, name)]) for name, why in table.items()]
+    found = dataclasses.asdict(n) | {"antialias": bool(scene.antialias)}
+    return [(name, found[name], why[not found[name]]) for name, why in table.items()]

@@ -20,6 +20,7 @@ class Options(eqx.Module):
     highlight: Highlight = eqx.field(static=True)
     bounces: int = eqx.field(static=True)
     samples: int = eqx.field(static=True)
+    antialias: bool = eqx.field(static=True)
     needs: Needs = eqx.field(static=True)
 
 
@@ -47,4 +48,4 @@ def options(
             "where an object both reflects and transmits, n bounces follow 2^n paths: "
             f"bounces must be at most {MOST_BRANCHINGS}, got {bounces}"
         )
-    return Options(width, height, highlight, bounces, samples, needs)
+    return Options(width, height, highlight, bounces, samples, bool(scene.antialias), needs)

@@ -5,13 +5,12 @@ The lecture's lights are points, so shadows are sharp; only a pixel can be partl
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from ._types import Ids, Mask, Plane
 from .coverage import disc, half_plane
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch, smallest_int
+from .phases import fetch, over, smallest_int
 from .varying import Varying
 from .vec import Vec, dot, norm, unit
 from .visibility import row
@@ -108,5 +107,5 @@ def _occluders(
 
     none = jnp.full(shape, -1, smallest_int(world.spheres + world.planes))
     state = jnp.full(shape, False), (none,) * MOST_EDGES
-    state = lax.fori_loop(0, world.spheres, sphere, state)
-    return lax.fori_loop(0, world.planes, plane, state) if needs.planes else state
+    state = over(world.spheres, sphere, state, unroll=0)
+    return over(world.planes, plane, state, unroll=0) if needs.planes else state

@@ -70,9 +70,11 @@ def keep(values: T) -> T:
     return lax.cond((some < 1) | (some >= 1) | jnp.isnan(some), lambda v: v, zeros, values)
 
 
-def over(count: int, body: Callable[[int | Int[Array, ""], T], T], start: T) -> T:
+def over(
+    count: int, body: Callable[[int | Int[Array, ""], T], T], start: T, unroll: int = UNROLL
+) -> T:
     """`body(count - 1, ... body(1, body(0, start)))`: written out if short, a loop if long."""
-    if count <= UNROLL:
+    if count <= unroll:
         for i in range(count):
             start = body(i, start)
         return start

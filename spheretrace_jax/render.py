@@ -105,14 +105,14 @@ def _sample(
         lines = top + jnp.arange(rows, dtype=dtype)
         ray = pixel_rays(scene.camera, columns[None, :], lines[:, None], size)
         cone = None
-        if options.needs.antialias:
+        if options.antialias:
             side = scene.camera.window / (options.height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
         color, edge = radiance(scene, world, ray, options, cone=cone)
         return _rgb(where(edge, zeros(edge.shape, dtype), color)), edge
 
     color, edge = trace(scene, world)
-    if not options.needs.antialias:
+    if not options.antialias:
         return color
 
     def compose(pixels: Int[Array, " n"], alive: Mask) -> Float[Array, "n 3"]:

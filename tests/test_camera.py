@@ -30,7 +30,7 @@ def test_the_eye_is_where_the_lecture_puts_it():
 def test_rays_pass_the_pixel_centres_of_the_window_row_0_at_the_top():
     camera, width, height = st.Camera(0.7, 1.1, 500.0, 800.0), 4, 3
     columns, lines = jnp.arange(4.0) + 0.5, jnp.arange(3.0) + 0.5
-    ray = pixel_rays(camera, columns, lines, (width, height))
+    ray = pixel_rays(camera, columns[None, :], lines[:, None], (width, height))
     frame, pitch = view_frame(camera), 512 / height
     for j in range(height):
         for i in range(width):
@@ -45,5 +45,5 @@ def test_the_windows_height_sets_the_field_of_view():
         st.Camera(distance=100.0, window=200.0), jnp.array([0.5]), jnp.zeros(1), (1, 1)
     )
     np.testing.assert_allclose(
-        rows(ray.direction)[0, 0], [-np.sqrt(0.5), 0, -np.sqrt(0.5)], atol=1e-15
+        rows(ray.direction)[0], [-np.sqrt(0.5), 0, -np.sqrt(0.5)], atol=1e-15
     )

@@ -8,7 +8,7 @@ from scenes import SCENES, nine_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.fit.parameters import bounds, to_scene, to_solver
+from spheretrace_jax.fit.parameters import bounds, length_scales, to_scene, to_solver
 from spheretrace_jax.fit.residual import make_target
 from spheretrace_jax.report import determined
 
@@ -195,7 +195,7 @@ def test_targets_of_no_use_are_refused(target, message):
         st.fit(nine_spheres(), target)
 
 
-@pytest.mark.parametrize("free", [(), ("colour",), ("color", "center"), ("ks", "ks")])
+@pytest.mark.parametrize("free", [(), ("colour",), ("color", "window"), ("ks", "ks")])
 def test_names_that_cannot_be_free_are_refused(free):
     with pytest.raises(st.InputError, match=r"free parameter"):
         st.fit(nine_spheres(), np.zeros((4, 4, 3)), free=free)
@@ -210,20 +210,25 @@ def test_what_the_scene_does_not_have_cannot_be_free():
 def test_any_number_of_the_solver_stands_for_a_valid_scene():
     scene, free = (
         SCENES["glass"],
-        ("color", "ka", "ks", "exponent", "kt", "light_color", "light_position"),
+        (
+            *("color", "ka", "ks", "exponent", "kt", "light_color", "light_position"),
+            *("center", "radius", "theta", "phi", "mu", "distance"),
+        ),
     )
-    scale = jnp.array(100.0)
-    values = to_solver(scene, free, scale)
-    same = to_scene(scene, values, scale)
+    scales = length_scales(scene)
+    values = to_solver(scene, free, scales)
+    same = to_scene(scene, values, scales)
     assert all(
         np.allclose(a, b, rtol=1e-14)
         for a, b in zip(*map(jax.tree.leaves, (scene, same)), strict=True)
     )
     wild = jax.tree.map(lambda y: 3.7 * y - 2.2, values)
-    s = to_scene(scene, wild, scale).spheres
+    valid = to_scene(scene, wild, scales)
+    s = valid.spheres
     for value in (s.color, s.ka, s.ks, s.kt):
         assert 0 <= value.min() and value.max() <= 1
-    assert s.exponent.min() > 0
+    for value in (s.exponent, s.radius, valid.camera.mu, valid.camera.distance):
+        assert value.min() > 0
     low, high = bounds(values)
     assert (
         (low["color"] == 0).all() and (high["color"] == 1).all() and (low["light_color"] == 0).all()

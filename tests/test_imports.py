@@ -16,7 +16,8 @@ FILES = {
 }
 
 CORE = """
-    _types camera errors intersect needs phases render scene shading texture vec visibility world
+    _types appearance camera coverage edges errors intersect layers needs options paths penumbra
+    phases render scene shading texture varying vec visibility world
 """.split()
 OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")

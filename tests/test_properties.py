@@ -11,7 +11,7 @@ import spheretrace_jax as st
 
 SPHERES, LIGHTS = 5, 2
 SIZE = dict(width=16, height=12, bounces=2)
-EVERYTHING = st.Needs(textures=False, antialias=False)
+EVERYTHING = st.Needs(textures=False)
 
 seeds = strategy.integers(0, 2**32 - 1)
 several = settings(max_examples=25, deadline=None, derandomize=True)

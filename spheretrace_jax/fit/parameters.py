@@ -13,13 +13,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Scalar
 from ..errors import InputError
 from ..scene import Scene
 
 Values = dict[str, Float[Array, "..."]]
 
-#: name: (where in the scene, kind). "unit" is 0..1, "positive" is fitted by its logarithm.
+#: name: (where in the scene, kind). "unit" is 0..1, "positive" is fitted by its logarithm, "length"
+#: in a unit of the scene's own.
 _PARAMETERS = {
     "color": (lambda s: s.spheres.color, "unit"),
     "ka": (lambda s: s.spheres.ka, "unit"),
@@ -30,9 +30,18 @@ _PARAMETERS = {
     "exponent": (lambda s: s.spheres.exponent, "positive"),
     "light_color": (lambda s: s.lights.color, "nonnegative"),
     "light_position": (lambda s: s.lights.position, "length"),
+    "center": (lambda s: s.spheres.center, "length"),
+    "radius": (lambda s: s.spheres.radius, "positive"),
+    "theta": (lambda s: s.camera.theta, "angle"),
+    "phi": (lambda s: s.camera.phi, "angle"),
+    "mu": (lambda s: s.camera.mu, "positive"),
+    "distance": (lambda s: s.camera.distance, "positive"),
 }
 
 NAMES = tuple(_PARAMETERS)
+
+#: Those whose change is seen only by where edges are.
+GEOMETRY = frozenset(("center", "radius", "theta", "phi", "mu", "distance"))
 
 # An exponent of 0 has no logarithm; a fit starts from this instead.
 _LEAST_EXPONENT = 1e-2
@@ -54,6 +63,8 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
         if value(scene, name).size == 0:
             things = "lights" if name.startswith("light") else "spheres"
             raise InputError(f"{name} is free, but the scene has no {things}")
+        if name in ("radius", "mu", "distance") and not (value(scene, name) > 0).all():
+            raise InputError(f"{name} is free: it must start above 0")
 
 
 def value(scene: Scene, name: str) -> Array:
@@ -61,20 +72,23 @@ def value(scene: Scene, name: str) -> Array:
     return _PARAMETERS[name][0](scene)
 
 
-def length_scale(scene: Scene) -> Scalar:
-    """A length that makes the lights' positions numbers of order one: how far the lights are.
+def length_scales(scene: Scene) -> Values:
+    """Lengths that make positions numbers of order one, so that a fit is blind to the user's units.
 
-    With it the damping is blind to the user's units, and the long valley of a light's distance
-    takes 7 steps instead of 27.
+    For the lights how far they are: the long valley of a light's distance takes 7 steps instead
+    of 27. For each sphere's centre its radius.
     """
     n = len(scene.spheres)
     middle = jnp.mean(scene.spheres.center, axis=0) if n else jnp.zeros(3, scene.dtype)
     away = jnp.linalg.norm(scene.lights.position - middle[None], axis=1)
-    reach = jnp.max(jnp.append(away, scene.camera.mu))
-    return jnp.where(reach > 0, reach, 1)
+    lengths = {
+        "light_position": jnp.max(jnp.append(away, scene.camera.mu)),
+        "center": jnp.broadcast_to(scene.spheres.radius[:, None], (n, 3)),
+    }
+    return {name: jnp.where(length > 0, length, 1) for name, length in lengths.items()}
 
 
-def to_solver(scene: Scene, free: tuple[str, ...], scale: Scalar) -> Values:
+def to_solver(scene: Scene, free: tuple[str, ...], scales: Values) -> Values:
     """The numbers that a solver starts from: those of the scene, brought within the bounds."""
 
     def one(name: str) -> Array:
@@ -82,13 +96,15 @@ def to_solver(scene: Scene, free: tuple[str, ...], scale: Scalar) -> Values:
         if kind == "positive":
             return jnp.log(jnp.maximum(start, _LEAST_EXPONENT))
         if kind == "length":
-            return start / scale
+            return start / scales[name]
+        if kind == "angle":
+            return start
         return jnp.clip(start, 0, 1 if kind == "unit" else None)
 
     return {name: one(name) for name in free}
 
 
-def to_scene(scene: Scene, values: Values, scale: Scalar) -> Scene:
+def to_scene(scene: Scene, values: Values, scales: Values) -> Scene:
     """The scene that a solver's numbers stand for; what is not free stays as in `scene`."""
 
     def one(name: str) -> Array:
@@ -97,7 +113,9 @@ def to_scene(scene: Scene, values: Values, scale: Scalar) -> Scene:
             return _fold(y)
         if kind == "nonnegative":
             return jnp.abs(y)
-        return jnp.exp(y) if kind == "positive" else y * scale
+        if kind == "length":
+            return y * scales[name]
+        return jnp.exp(y) if kind == "positive" else y
 
     places = [_PARAMETERS[name][0] for name in values]
     new = [one(name) for name in values]

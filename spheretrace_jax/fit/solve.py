@@ -1,5 +1,6 @@
 """From a scene and a picture to the scene that looks like the picture."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -11,18 +12,20 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike
 
 from .._types import Highlight
+from ..errors import SceneWarning
 from ..needs import needs
 from ..options import options as render_options
 from ..render import render
 from ..scene import Scene
 from .bounded import BoundedLevenbergMarquardt
 from .parameters import (
+    GEOMETRY,
     Values,
     bounds,
     check_free,
     check_present,
     hold_ka,
-    length_scale,
+    length_scales,
     to_scene,
     to_solver,
 )
@@ -37,6 +40,7 @@ class Progress(eqx.Module):
     step: int
     max_steps: int
     cost: float
+    scene: Scene  #: the best one so far
 
 
 class Fit(eqx.Module):
@@ -89,8 +93,10 @@ def fit(
     - `scene`: the start; it also fixes the dtype of the fit. 1e-8 needs float64.
     - `target`: linear RGB of shape `(height, width, 3)`. Numbers at 1 in a picture without
       brighter ones are clipped, as in 8- and 16-bit files, and do not count.
-    - `free`: among `color ka kd ks exponent kgr kt` (of all spheres) and `light_position
-      light_color` (of all lights). An exponent of 0 starts as 0.01.
+    - `free`: among `color ka kd ks exponent kgr kt center radius` (of all spheres),
+      `light_position light_color` (of all lights) and `theta phi mu distance` (of the camera). An
+      exponent of 0 starts as 0.01. For centers, radii and the camera the scene's antialias flag
+      must be 1, or no derivative tells how edges move.
     - `highlight`, `bounces`, `samples`: as for `render`.
     - `solver`: any Optimistix solver of the Gauss-Newton family, by default Levenberg-Marquardt
       with bounds.
@@ -107,6 +113,14 @@ def fit(
     free = tuple(free)
     check_free(free)
     check_present(scene, free)
+    edges = [name for name in free if name in GEOMETRY]
+    if edges and not scene.antialias:
+        warnings.warn(
+            f"{', '.join(edges)} free: a picture of single rays has no derivative where edges "
+            "move; set antialias to 1",
+            SceneWarning,
+            stacklevel=2,
+        )
     goal = make_target(target, scene.dtype)
     height, width, _ = goal.image.shape
     wanted = needs(scene, free=free)
@@ -116,22 +130,22 @@ def fit(
         render, width=width, height=height, highlight=highlight, bounces=bounces, samples=samples,
         needs=wanted,
     )  # fmt: skip
-    scale = length_scale(scene)
+    scales = length_scales(scene)
 
     def residual(values: Values, args: tuple) -> tuple[Array, None]:
-        scene, scale, goal = args
-        return goal.residual(draw(to_scene(scene, values, scale))), None
+        scene, scales, goal = args
+        return goal.residual(draw(to_scene(scene, values, scales))), None
 
     tolerance = 1e-10 if scene.dtype == jnp.float64 else 1e-6
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
-    values = to_solver(scene, free, scale)
+    values = to_solver(scene, free, scales)
     if solver is None:
         solver = BoundedLevenbergMarquardt(rtol, atol, *bounds(values))
-    run = _Run(solver, residual, (scene, scale, goal), rtol + atol)
+    run = _Run(solver, residual, (scene, scales, goal), rtol + atol)
     values, result, interrupted = run.solve(values, max_steps, callback)
     if throw and not interrupted and result != optx.RESULTS.successful:
         raise RuntimeError(f"the fit did not converge: {optx.RESULTS[result]}")
-    fitted = hold_ka(to_scene(scene, values, scale), scene, free)
+    fitted = hold_ka(to_scene(scene, values, scales), scene, free)
     counted = int(jnp.sum(goal.counts))
     return Fit(
         scene=fitted,
@@ -164,7 +178,8 @@ class _Run:
                 values, state, _ = step(y=values, args=self.args, state=state)
                 self.costs.append(float(0.5 * jnp.sum(state.f_info.residual**2)))
                 if callback is not None:
-                    callback(Progress(number + 1, max_steps, self.costs[-1]))
+                    best = to_scene(self.args[0], values, self.args[1])
+                    callback(Progress(number + 1, max_steps, self.costs[-1], best))
                 if not jnp.isfinite(self.costs[-1]):
                     return values, optx.RESULTS.nonfinite, False
                 done, result = self.solver.terminate(y=values, state=state, **problem)
