@@ -43,9 +43,7 @@ def view_frame(camera: Camera) -> Frame:
     )
 
 
-def pixel_rays(
-    camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int]
-) -> Ray:
+def pixel_rays(camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int]) -> Ray:
     """The rays through points of the window.
 
     Column i and row j of a picture `height` pixels high have their centre at

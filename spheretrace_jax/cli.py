@@ -25,7 +25,7 @@ Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
 Highlight = Annotated[Literal["phong", "blinn"], arg(help="(R.V)^n or (H.N)^n")]
 Bounces = Annotated[int, arg(metavar="N", help="reflections and transmissions at most")]
 Samples = Annotated[
-    int | None, arg(metavar="K", help="K x K rays per pixel; by default the scene's flag decides")
+    int, arg(metavar="K", help="each pixel is the mean of K x K parts, as the antialias flag says")
 ]
 SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
 
@@ -91,7 +91,7 @@ class FitCommand:
         arg(
             metavar="NAMES",
             help="what to fit, with commas: color, ka, kd, ks, exponent, kgr, kt, "
-            "light_position, light_color",
+            "light_position, light_color, center, radius, theta, phi, mu, distance",
         ),
     ] = ",".join(DEFAULT_FREE)
     highlight: Highlight = "phong"
@@ -221,16 +221,19 @@ class Demo:
 
         _check_folder(self.output)
         data = _data_folder()
-        truth = load_scene(data / "nine_spheres.txt", self.dtype)
+        # the target's pixels are the mean of 2 x 2 single rays, and so are those of the fit
+        truth = load_scene(data / "nine_spheres.txt", self.dtype).with_antialias(0)
+        settings = dict(samples=2)
         target = read_image(data / "nine_spheres.png")
         start = wrong_start(truth)
-        found = _fit_with_progress(start, target)
+        found = _fit_with_progress(start, target, **settings)
         self.output.mkdir(parents=True, exist_ok=True)
-        save_scene(self.output / "fitted.txt", found.scene)
+        smooth = found.scene.with_antialias(1)
+        save_scene(self.output / "fitted.txt", smooth)
         with _busy("rendering the fitted scene"):
-            write_image(self.output / "fitted.png", render(found.scene))
+            write_image(self.output / "fitted.png", render(smooth))
         files = [self.output / "fitted.txt", self.output / "fitted.png"]
-        files += _report(self.output, found, start, target, DEFAULT_FREE, {})
+        files += _report(self.output, found, start, target, DEFAULT_FREE, settings)
         print(f"the fit {verdict(found)}")
         print("largest error against the file that POV-Ray rendered:")
         pairs = zip(determined(found.scene).items(), determined(start).values(), strict=True)

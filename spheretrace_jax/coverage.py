@@ -94,7 +94,8 @@ def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
     some = square > 0
     per_square = 1 / jnp.where(some, square, 1)
     middle = -half * per_square
-    chord = safe_sqrt(middle * middle - (x * x + y * y - 1) * per_square)
+    apart = x * dy - y * dx  # from the centre to the side, times the side's length
+    chord = safe_sqrt(square - apart * apart) * per_square
     # the integrand vanishes where the side crosses the circle, so that moving these ends changes
     # nothing: without their derivatives no root is ever differentiated near 0
     enter, leave = jax.lax.stop_gradient(
@@ -106,7 +107,7 @@ def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
         bx, by = x + end * dx, y + end * dy
         turned = ax * (by - ay) - ay * (bx - ax)
         ahead = ax * bx + ay * by
-        empty = (end <= start) | ~some
+        empty = (end <= start) | ~some | (turned == 0) & (ahead == 0)
         angle = jnp.arctan2(jnp.where(empty, 0, turned), jnp.where(empty, 1, ahead))
         return jnp.where(empty, 0, (turned - angle) / 2)
 

@@ -32,7 +32,7 @@ from .vec import Vec, dot, norm, safe_sqrt, unit, where, zeros
 from .visibility import row
 from .world import Hit, Material, Surface, World, surface_at
 
-#: Layers of one pixel; the last one is taken to cover it.
+#: Layers of one pixel; the last one is taken to cover all that is left of it.
 MOST_LAYERS = 8
 
 
@@ -69,6 +69,8 @@ def layered(
         return lax.cond(jnp.any(shown), see, lambda: (black.x, black))
 
     parts, colors = lax.map(lambda x: jax.checkpoint(layer)(*x), (layers, shown))
+    if len(shown) == MOST_LAYERS:
+        parts = parts.at[-1].set(jnp.where(shown[-1], 1, parts[-1]))
     # what passes all layers in front, and in the end all there are
     passed = jnp.cumprod(1 - parts, axis=0)
     weight = parts * jnp.concatenate([jnp.ones_like(passed[:1]), passed[:-1]])
@@ -85,7 +87,9 @@ def _peel(
     """The layers from front to back, stacked, and which pixels have them; without derivatives."""
     world, beam = jax.lax.stop_gradient((world, beam))
     none = Hit(jnp.full(alive.shape, -1, _id_type(world)), jnp.full(alive.shape, False))
-    start = Layer(none, jnp.zeros(alive.shape, world.window.dtype), none if needs.crossings else None)
+    start = Layer(
+        none, jnp.zeros(alive.shape, world.window.dtype), none if needs.crossings else None
+    )
 
     def further(state: tuple[Layer, Mask], number: Int[Array, ""]) -> tuple:
         def next_() -> tuple[Layer, Mask, Mask]:
@@ -100,7 +104,7 @@ def _peel(
         layer, some, more = lax.cond(jnp.any(state[1]), next_, stop)
         return (layer, more), (layer, some)
 
-    most = min(MOST_LAYERS, world.spheres + world.planes)
+    most = min(MOST_LAYERS, world.spheres + world.planes + 1)
     return lax.scan(further, (start, alive), jnp.arange(most, dtype=jnp.int32))[1]
 
 
@@ -120,7 +124,9 @@ def next_layer(
         covers = covers & after & (t > 0)
         (t1, i1, in1), (t2, i2, in2) = best
         nearest, second = covers & (t < t1), covers & (t < t2)
-        pick = lambda mask, new, old: tuple(jnp.where(mask, a, b) for a, b in zip(new, old, strict=True))
+        pick = lambda mask, new, old: tuple(
+            jnp.where(mask, a, b) for a, b in zip(new, old, strict=True)
+        )
         new = (t, i, inside)
         moved = pick(nearest, (t1, i1, in1), pick(second, new, (t2, i2, in2)))
         return pick(nearest, new, (t1, i1, in1)), moved
@@ -170,9 +176,7 @@ def next_layer(
     return Layer(Hit(number.astype(dtype), inside), t, behind)
 
 
-def covered(
-    world: World, beam: Varying[Ray], layer: Layer, needs: Needs
-) -> tuple[Plane, Plane]:
+def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tuple[Plane, Plane]:
     """How much of the pixel a layer covers, and how far its edge function varies (`surface_at`)."""
     part, reach = _outline(world, beam, layer.hit, needs)
     if layer.behind is None:

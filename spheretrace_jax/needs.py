@@ -153,7 +153,10 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
         "checkers": ("some plane has two colours", "no plane has two colours"),
         "background": ("a colour or a sky", "black"),
         "antialias": ("the flag is 1: edges are covered by area", "the flag is 0"),
-        "crossings": ("objects may cut one another", "no object cuts another, or no edge is covered"),
+        "crossings": (
+            "objects may cut one another",
+            "no object cuts another, or no edge is covered",
+        ),
     }
     found = dataclasses.asdict(n) | {"antialias": bool(scene.antialias)}
     return [(name, found[name], why[not found[name]]) for name, why in table.items()]

@@ -20,9 +20,7 @@ from .world import Hit, World
 MOST_EDGES = 2
 
 
-def unoccluded_part(
-    world: World, point: Varying[Vec], hit: Hit, light: Vec, needs: Needs
-) -> Plane:
+def unoccluded_part(world: World, point: Varying[Vec], hit: Hit, light: Vec, needs: Needs) -> Plane:
     """The part of a pixel, seen on a surface, that a light reaches: 0 in shadow, 1 in light.
 
     Says the same as `visibility.unoccluded` where no edge runs through the pixel.

@@ -6,6 +6,7 @@ units, angles in radians, colours linear RGB. Gradient notes: "edges" marks the 
 change moves silhouettes or shadow edges in the picture, where a point-sampled picture jumps.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -233,7 +234,7 @@ class Scene(eqx.Module):
     background: Float[Array, " 3"]  #: what a ray that leaves the world sees; differentiable
     sky: Texture | None  #: a picture all around, in place of the background colour
     back_plane: BackPlane | None
-    antialias: int = eqx.field(static=True)  #: 1: several rays per pixel, 0: one
+    antialias: int = eqx.field(static=True)  #: 1: pixels are areas, their edges covered; 0: rays
 
     def __init__(
         self,
@@ -284,6 +285,11 @@ class Scene(eqx.Module):
     def dtype(self) -> np.dtype:
         """The floating dtype of the scene, and so of its pictures."""
         return np.dtype(self.spheres.radius.dtype)
+
+    def with_antialias(self, antialias: int) -> "Scene":
+        """The same scene with another antialias flag."""
+        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return Scene(**(parts | {"antialias": antialias}))
 
     def astype(self, dtype: Any) -> "Scene":
         """The same scene in another floating dtype."""

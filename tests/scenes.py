@@ -75,3 +75,15 @@ def nine_spheres(light=(100.0, 900.0, 300.0), dtype=np.float64) -> st.Scene:
     scene = st.load_scene(Path(__file__).parent.parent / "data" / "nine_spheres.txt", dtype)
     scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray([light], dtype))
     return st.Scene(scene.spheres, scene.lights, scene.camera)
+
+
+def three_spheres(antialias: int = 0) -> st.Scene:
+    """Two spheres over a large one, with shadows."""
+    spheres = st.Spheres(
+        [[-30.0, 10, 0], [40, -20, 60], [0, 0, -1100]],
+        [60.0, 45, 1000],
+        [[0.9, 0.2, 0.1], [0.1, 0.8, 0.3], [0.5, 0.5, 0.9]],
+        ka=0.2, kd=0.7, ks=0.3, exponent=20.0,
+    )  # fmt: skip
+    camera = st.Camera(-np.pi / 2, 0.0, 500.0, 800.0)
+    return st.Scene(spheres, st.Lights([[200.0, 300, 500]]), camera, antialias=antialias)

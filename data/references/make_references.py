@@ -1,7 +1,7 @@
 """Renders the reference pictures of references.json with POV-Ray 3.7: `make references`.
 
-Each NAME.txt becomes NAME.png beside it: 16 bits, linear, one ray per pixel. Names given on the
-command line choose some of them.
+Each NAME.txt becomes NAME.png beside it: 16 bits, linear, one ray per pixel or, with "samples": k,
+the average of k x k rays. Names given on the command line choose some of them.
 """
 
 import json
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import jax
 
-from spheretrace_jax import load_scene
+from spheretrace_jax import load_scene, read_image, write_image
 from spheretrace_jax.files.povray import write_povray
 
 HERE = Path(__file__).parent
@@ -27,7 +27,8 @@ def render(reference: dict, folder: Path = HERE) -> None:
         scene = load_scene(HERE / f"{name}.txt")
         options = {key: reference[key] for key in ("highlight", "bounces")}
         write_povray(pov, scene, **options, scene_path=f"{name}.txt")
-        size = [f"+W{reference['width']}", f"+H{reference['height']}"]
+        samples = reference.get("samples", 1)
+        size = [f"+W{samples * reference['width']}", f"+H{samples * reference['height']}"]
         # one ray per pixel, no window, linear numbers of 16 bits
         how = ["-A", "-D", "+FN16", "File_Gamma=1.0"]
         done = subprocess.run(
@@ -35,6 +36,10 @@ def render(reference: dict, folder: Path = HERE) -> None:
         )
         if done.returncode:
             sys.exit(f"{name}: povray failed\n{done.stderr}")
+        if samples > 1:
+            fine = read_image(png, colorspace="linear")
+            shape = reference["height"], samples, reference["width"], samples, 3
+            write_image(png, fine.reshape(shape).mean((1, 3)), colorspace="linear", bits=16)
         shutil.copyfile(png, folder / png.name)
 
 

@@ -18,8 +18,7 @@ from ..scene import Scene
 
 Values = dict[str, Float[Array, "..."]]
 
-#: name: (where in the scene, kind). "unit" is 0..1, "positive" is fitted by its logarithm, "length"
-#: in a unit of the scene's own.
+#: name: (where in the scene, kind). "unit" is 0..1, "positive" is fitted by its logarithm.
 _PARAMETERS = {
     "color": (lambda s: s.spheres.color, "unit"),
     "ka": (lambda s: s.spheres.ka, "unit"),
@@ -29,11 +28,11 @@ _PARAMETERS = {
     "kt": (lambda s: s.spheres.kt, "unit"),
     "exponent": (lambda s: s.spheres.exponent, "positive"),
     "light_color": (lambda s: s.lights.color, "nonnegative"),
-    "light_position": (lambda s: s.lights.position, "length"),
-    "center": (lambda s: s.spheres.center, "length"),
+    "light_position": (lambda s: s.lights.position, "any"),
+    "center": (lambda s: s.spheres.center, "any"),
     "radius": (lambda s: s.spheres.radius, "positive"),
-    "theta": (lambda s: s.camera.theta, "angle"),
-    "phi": (lambda s: s.camera.phi, "angle"),
+    "theta": (lambda s: s.camera.theta, "any"),
+    "phi": (lambda s: s.camera.phi, "any"),
     "mu": (lambda s: s.camera.mu, "positive"),
     "distance": (lambda s: s.camera.distance, "positive"),
 }
@@ -73,17 +72,21 @@ def value(scene: Scene, name: str) -> Array:
 
 
 def length_scales(scene: Scene) -> Values:
-    """Lengths that make positions numbers of order one, so that a fit is blind to the user's units.
+    """Lengths that make lengths numbers of order one, so that a fit is blind to the user's units.
 
-    For the lights how far they are: the long valley of a light's distance takes 7 steps instead
-    of 27. For each sphere's centre its radius.
+    For the lights' positions how far they are: the long valley of a light's distance takes 7 steps
+    instead of 27. For each sphere's centre its radius, and for all else the start itself.
     """
-    n = len(scene.spheres)
-    middle = jnp.mean(scene.spheres.center, axis=0) if n else jnp.zeros(3, scene.dtype)
+    spheres, camera = scene.spheres, scene.camera
+    n = len(spheres)
+    middle = jnp.mean(spheres.center, axis=0) if n else jnp.zeros(3, scene.dtype)
     away = jnp.linalg.norm(scene.lights.position - middle[None], axis=1)
     lengths = {
-        "light_position": jnp.max(jnp.append(away, scene.camera.mu)),
-        "center": jnp.broadcast_to(scene.spheres.radius[:, None], (n, 3)),
+        "light_position": jnp.max(jnp.append(away, camera.mu)),
+        "center": jnp.broadcast_to(spheres.radius[:, None], (n, 3)),
+        "radius": spheres.radius,
+        "mu": camera.mu,
+        "distance": camera.distance,
     }
     return {name: jnp.where(length > 0, length, 1) for name, length in lengths.items()}
 
@@ -93,11 +96,12 @@ def to_solver(scene: Scene, free: tuple[str, ...], scales: Values) -> Values:
 
     def one(name: str) -> Array:
         start, kind = value(scene, name), _PARAMETERS[name][1]
+        if name == "exponent":
+            start = jnp.maximum(start, _LEAST_EXPONENT)
+        start = start / scales.get(name, 1)
         if kind == "positive":
-            return jnp.log(jnp.maximum(start, _LEAST_EXPONENT))
-        if kind == "length":
-            return start / scales[name]
-        if kind == "angle":
+            return jnp.log(start)
+        if kind == "any":
             return start
         return jnp.clip(start, 0, 1 if kind == "unit" else None)
 
@@ -113,9 +117,7 @@ def to_scene(scene: Scene, values: Values, scales: Values) -> Scene:
             return _fold(y)
         if kind == "nonnegative":
             return jnp.abs(y)
-        if kind == "length":
-            return y * scales[name]
-        return jnp.exp(y) if kind == "positive" else y
+        return (jnp.exp(y) if kind == "positive" else y) * scales.get(name, 1)
 
     places = [_PARAMETERS[name][0] for name in values]
     new = [one(name) for name in values]
