@@ -84,6 +84,26 @@ def disc(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: Plane) -> Plane:
     return jnp.where(thin, straight_edge, round_edge)
 
 
+def share(area: Plane, front: Plane, agreement: Plane) -> Plane:
+    """How much of what one region leaves of a pixel another one, behind it, takes.
+
+    Half-planes whose edges run at a right angle are independent: the answer is `area`. If the
+    edges are parallel, the smaller region lies within the larger (the rim of a sphere just behind
+    another's), or, if they face one another, they overlap only where there is no room. Between
+    these it is taken to be linear in the cosine.
+
+    **Arguments:** `area`, `front`: of the region behind and of the one in front, 0..1.
+    `agreement`: the cosine between the directions in which the regions lie, -1..1.
+    """
+    left = 1 - front
+    some = left > 0
+    per_left = 1 / jnp.where(some, left, 1)
+    within = jnp.maximum(area - front, 0) * per_left
+    apart = jnp.minimum(area * per_left, 1)
+    taken = area + jnp.maximum(agreement, 0) * (within - area)
+    return jnp.where(some, taken + jnp.maximum(-agreement, 0) * (apart - area), area)
+
+
 def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
     """The integral of (r^2 - 1)/2 by the angle along the part of a side outside the unit circle.
 

@@ -18,14 +18,14 @@ from jaxtyping import Array, Int
 from ._types import Mask, Plane
 from .appearance import background, local_color
 from .camera import Ray
-from .coverage import disc, half_plane
+from .coverage import disc, half_plane, share
 from .intersect import perpendicular
 from .needs import Needs
 from .options import Options
 from .paths import Path, next_path, radiance
+from .penumbra import unoccluded_part
 from .phases import fetch, keep, over, smallest_int
 from .scene import Scene
-from .penumbra import unoccluded_part
 from .shading import HIGHLIGHTS, lambert, power, toward_light
 from .varying import Varying
 from .vec import Vec, dot, norm, safe_sqrt, unit, where, zeros
@@ -34,6 +34,14 @@ from .world import Hit, Material, Surface, World, surface_at
 
 #: Layers of one pixel; the last one is taken to cover all that is left of it.
 MOST_LAYERS = 8
+
+
+class Outline(eqx.Module):
+    """How a layer fills a pixel."""
+
+    part: Plane  #: how much of the pixel it covers
+    right: Plane  #: in which direction it lies from its edge, a unit vector in the picture
+    down: Plane
 
 
 class Layer(eqx.Module):
@@ -60,15 +68,20 @@ def layered(
     needs, black = options.needs, zeros(alive.shape, scene.dtype)
     layers, shown = _peel(world, beam, needs, alive, leaving)
 
-    def layer(layer: Layer, shown: Mask) -> tuple[Plane, Vec]:
-        def see() -> tuple[Plane, Vec]:
-            part, reach = keep(covered(world, beam, layer, needs))
+    def layer(layer: Layer, shown: Mask) -> tuple[Outline, Vec]:
+        def see() -> tuple[Outline, Vec]:
+            outline, reach = keep(covered(world, beam, layer, needs))
             color = layer_color(scene, world, beam, layer.hit, reach, options, shown, leaving)
-            return jnp.where(shown, part, 0), where(shown, color, black)
+            part = jnp.where(shown, outline.part, 0)
+            return Outline(part, outline.right, outline.down), where(shown, color, black)
 
-        return lax.cond(jnp.any(shown), see, lambda: (black.x, black))
+        nothing = Outline(black.x, black.x, black.x), black
+        return lax.cond(jnp.any(shown), see, lambda: nothing)
 
-    parts, colors = lax.map(lambda x: jax.checkpoint(layer)(*x), (layers, shown))
+    outlines, colors = lax.map(lambda x: jax.checkpoint(layer)(*x), (layers, shown))
+    front, back = (jax.tree.map(lambda x, s=s: x[s], outlines) for s in (slice(-1), slice(1, None)))
+    agreement = front.right * back.right + front.down * back.down
+    parts = jnp.concatenate([outlines.part[:1], share(back.part, front.part, agreement)])
     if len(shown) == MOST_LAYERS:
         parts = parts.at[-1].set(jnp.where(shown[-1], 1, parts[-1]))
     # what passes all layers in front, and in the end all there are
@@ -95,8 +108,8 @@ def _peel(
         def next_() -> tuple[Layer, Mask, Mask]:
             layer = keep(next_layer(world, beam, needs, state[0], leaving))
             some = state[1] & (layer.hit.id >= 0)
-            part, _ = covered(world, beam, layer, needs)
-            return layer, some, some & (part < 1)
+            outline, _ = covered(world, beam, layer, needs)
+            return layer, some, some & (outline.part < 1)
 
         def stop() -> tuple[Layer, Mask, Mask]:
             return state[0], state[1], state[1]
@@ -176,11 +189,11 @@ def next_layer(
     return Layer(Hit(number.astype(dtype), inside), t, behind)
 
 
-def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tuple[Plane, Plane]:
-    """How much of the pixel a layer covers, and how far its edge function varies (`surface_at`)."""
-    part, reach = _outline(world, beam, layer.hit, needs)
+def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tuple[Outline, Plane]:
+    """How a layer fills the pixel, and how far its edge function varies (`surface_at`)."""
+    outline, reach = _outline(world, beam, layer.hit, needs)
     if layer.behind is None:
-        return part, reach
+        return outline, reach
     other, other_reach = _outline(world, beam, layer.behind, needs)
 
     def ahead(ray: Ray) -> Plane:
@@ -190,29 +203,35 @@ def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tup
         return depth(layer.behind, other_reach) - depth(layer.hit, reach)
 
     f = beam.map(ahead)
-    hidden = other * (1 - half_plane(f.value, f.dx, f.dy))
-    return part * jnp.where(layer.behind.id >= 0, 1 - hidden, 1), reach
+    hidden = other.part * (1 - half_plane(f.value, f.dx, f.dy))
+    shows = jnp.where(layer.behind.id >= 0, 1 - hidden, 1)
+    return Outline(outline.part * shows, outline.right, outline.down), reach
 
 
-def _outline(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> tuple[Plane, Plane]:
-    """How much of a pixel is inside an object's silhouette; all of it, if there is none."""
+def _outline(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> tuple[Outline, Plane]:
+    """What of a pixel is inside an object's silhouette; all of it, if there is none."""
     ball = fetch(world.balls, hit.id)
     is_ball = (hit.id >= 0) & (hit.id < world.spheres)
     q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
     part = disc(q.value, q.dx, q.dy, beam.value.direction, radius)
-    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
     part = jnp.where(is_ball & ~hit.inside, part, 1)
-    if not needs.planes:
-        return part, reach
-    flat = fetch(world.flats, hit.id - world.spheres)
-    slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
-    away = dot(flat.point - beam.value.origin, flat.normal)
-    side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-    level = half_plane(side * slope.value, slope.dx, slope.dy)
-    is_plane = hit.id >= world.spheres
-    level_reach = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
-    return jnp.where(is_plane, level, part), jnp.where(is_plane, level_reach, reach)
+    right, down = -dot(q.value, q.dx), -dot(q.value, q.dy)
+    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
+    if needs.planes:
+        flat = fetch(world.flats, hit.id - world.spheres)
+        slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
+        away = dot(flat.point - beam.value.origin, flat.normal)
+        side = jnp.where(away < 0, -1, 1).astype(away.dtype)
+        level = half_plane(side * slope.value, slope.dx, slope.dy)
+        level_reach = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
+        is_plane = hit.id >= world.spheres
+        part, reach = jnp.where(is_plane, level, part), jnp.where(is_plane, level_reach, reach)
+        right = jnp.where(is_plane, side * slope.dx, right)
+        down = jnp.where(is_plane, side * slope.dy, down)
+    length = safe_sqrt(right * right + down * down)
+    per_length = 1 / jnp.where(length > 0, length, 1)
+    return Outline(part, right * per_length, down * per_length), reach
 
 
 def layer_color(

@@ -15,7 +15,6 @@ import numpy as np
 from .errors import InputError
 from .scene import Camera, Lights, Planes, Scene, Spheres
 
-
 # Of more spheres than these, whether any two cut one another is not looked up pair by pair.
 _MANY = 2000
 

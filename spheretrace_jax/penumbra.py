@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 
 from ._types import Ids, Mask, Plane
-from .coverage import disc, half_plane
+from .coverage import disc, half_plane, share
 from .intersect import perpendicular
 from .needs import Needs
 from .phases import fetch, over, smallest_int
 from .varying import Varying
-from .vec import Vec, dot, norm, unit
+from .vec import Vec, dot, norm, safe_sqrt, unit
 from .visibility import row
 from .world import Hit, World
 
 #: Shadow edges of one light in one pixel and layer; of further ones the centre decides.
-MOST_EDGES = 2
+EDGES = 2
 
 
 def unoccluded_part(world: World, point: Varying[Vec], hit: Hit, light: Vec, needs: Needs) -> Plane:
@@ -28,10 +28,10 @@ def unoccluded_part(world: World, point: Varying[Vec], hit: Hit, light: Vec, nee
     **Arguments:** `point`: the surface's point, with `hit` the objects it lies on.
     """
     blocked, edges = _occluders(world, point, hit, light, needs)
-    part = 1 - blocked.astype(point.value.x.dtype)
-    for number in edges:
-        part = part * (1 - _shadow(world, point, number, light, needs))
-    return part
+    one, other = (_shadow(world, point, number, light, needs) for number in edges)
+    (dark, right, down), (more, other_right, other_down) = one, other
+    lit = (1 - dark) * (1 - share(more, dark, right * other_right + down * other_down))
+    return jnp.where(blocked, 0, lit)
 
 
 def _from_light(point: Vec, light: Vec, center: Vec) -> tuple[Plane, Vec]:
@@ -39,18 +39,28 @@ def _from_light(point: Vec, light: Vec, center: Vec) -> tuple[Plane, Vec]:
     return perpendicular(point, unit(light - point), center)
 
 
-def _shadow(world: World, point: Varying[Vec], number: Ids, light: Vec, needs: Needs) -> Plane:
-    """The part of the pixel in the shadow of one object, 0 where there is none."""
+def _shadow(
+    world: World, point: Varying[Vec], number: Ids, light: Vec, needs: Needs
+) -> tuple[Plane, Plane, Plane]:
+    """The part of the pixel in the shadow of one object, 0 where there is none.
+
+    **Returns:** beside it the direction, right and down in the picture, in which the shadow lies.
+    """
     ball = fetch(world.balls, number)
     q = point.map(lambda p: _from_light(p, light, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
     dark = disc(q.value, q.dx, q.dy, unit(light - point.value), radius)
+    right, down = -dot(q.value, q.dx), -dot(q.value, q.dy)
     if needs.planes:
         flat = fetch(world.flats, number - world.spheres)
         side = jnp.where(dot(light - flat.point, flat.normal) > 0, -1, 1).astype(dark.dtype)
         f = point.map(lambda p: dot(p - flat.point, flat.normal) * side)
-        dark = jnp.where(number >= world.spheres, half_plane(f.value, f.dx, f.dy), dark)
-    return jnp.where(number >= 0, dark, 0)
+        is_plane = number >= world.spheres
+        dark = jnp.where(is_plane, half_plane(f.value, f.dx, f.dy), dark)
+        right, down = jnp.where(is_plane, f.dx, right), jnp.where(is_plane, f.dy, down)
+    length = safe_sqrt(right * right + down * down)
+    per_length = 1 / jnp.where(length > 0, length, 1)
+    return jnp.where(number >= 0, dark, 0), right * per_length, down * per_length
 
 
 def _occluders(
@@ -104,6 +114,6 @@ def _occluders(
         return add(state, i + world.spheres, full & (inner > 0), touched, inner > 0)
 
     none = jnp.full(shape, -1, smallest_int(world.spheres + world.planes))
-    state = jnp.full(shape, False), (none,) * MOST_EDGES
+    state = jnp.full(shape, False), (none,) * EDGES
     state = over(world.spheres, sphere, state, unroll=0)
     return over(world.planes, plane, state, unroll=0) if needs.planes else state

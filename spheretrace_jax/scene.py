@@ -288,7 +288,7 @@ class Scene(eqx.Module):
 
     def with_antialias(self, antialias: int) -> "Scene":
         """The same scene with another antialias flag."""
-        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return Scene(**(parts | {"antialias": antialias}))
 
     def astype(self, dtype: Any) -> "Scene":

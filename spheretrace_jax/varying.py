@@ -1,7 +1,7 @@
 """`Varying`: a quantity at a pixel's centre and how it varies across the pixel.
 
 A beam is a varying ray: what Igehy ("Tracing Ray Differentials", SIGGRAPH 1999) calls a ray with
-its differentials. They pass through hits and reflections by the chain rule, which is jax's to apply.
+its differentials. They pass through hits and reflections by the chain rule, which is jax's job.
 """
 
 from collections.abc import Callable

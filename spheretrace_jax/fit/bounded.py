@@ -15,6 +15,7 @@ class _State(eqx.Module):
     factor: Float[Array, "free free"]  # R of the Jacobian's QR
     rotated: Float[Array, " free"]  # Q^T residual
     held: Bool[Array, " free"]
+    unit: Scalar  # what dampings are multiples of; 0 before the first Jacobian
 
 
 class BoundedDescent(optx.AbstractDescent):
@@ -27,13 +28,14 @@ class BoundedDescent(optx.AbstractDescent):
 
     lower: PyTree
     upper: PyTree
+    cautious: bool
 
     def init(self, y, f_info_struct):
         del f_info_struct
         flat, _ = ravel_pytree(y)
         n = flat.size
         zero = jnp.zeros((), flat.dtype)
-        return _State(flat, jnp.full((n, n), zero), jnp.full(n, zero), jnp.full(n, False))
+        return _State(flat, jnp.full((n, n), zero), jnp.full(n, zero), jnp.full(n, False), zero)
 
     def query(self, y, f_info, state):
         flat, _ = ravel_pytree(y)
@@ -48,7 +50,9 @@ class BoundedDescent(optx.AbstractDescent):
         gradient = factor.T @ rotated
         lower, upper = ravel_pytree(self.lower)[0], ravel_pytree(self.upper)[0]
         held = ((flat <= lower) & (gradient > 0)) | ((flat >= upper) & (gradient < 0))
-        return _State(flat, factor, rotated, held)
+        first = jnp.sum(factor**2) / n if self.cautious else jnp.ones_like(state.unit)
+        unit = jnp.where(state.unit > 0, state.unit, first)
+        return _State(flat, factor, rotated, held, unit)
 
     def step(self, step_size: Scalar, state: _State):
         y, unravel = state.y, ravel_pytree(self.lower)[1]
@@ -56,7 +60,7 @@ class BoundedDescent(optx.AbstractDescent):
         # the floor keeps still what the picture does not determine (color against ka and kd)
         tiny = jnp.finfo(y.dtype)
         floor = (64 * tiny.eps * jnp.max(jnp.abs(factor))) ** 2 + tiny.tiny
-        damping = jnp.maximum(1 / jnp.maximum(step_size.astype(y.dtype), tiny.tiny), floor)
+        damping = jnp.maximum(state.unit / jnp.maximum(step_size.astype(y.dtype), tiny.tiny), floor)
         stacked = jnp.concatenate([factor, jnp.sqrt(damping) * jnp.eye(y.size, dtype=y.dtype)])
         right = jnp.concatenate([-state.rotated, jnp.zeros_like(y)])
         solution = lx.linear_solve(lx.MatrixLinearOperator(stacked), right, lx.QR(), throw=False)
@@ -66,7 +70,15 @@ class BoundedDescent(optx.AbstractDescent):
 
 
 class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
-    """Optimistix's Levenberg-Marquardt with bounds on the unknowns."""
+    """Optimistix's Levenberg-Marquardt with bounds on the unknowns.
+
+    A cautious one is for residuals that are linear over short ways only, as edges make them: its
+    dampings are multiples of the first Jacobian's mean squared column, blind to the picture's
+    size, and it trusts its model by the textbook's 1/4 and 3/4 (Nocedal, Wright, "Numerical
+    Optimization", 2006, alg. 4.1). Centres off by half a radius and radii by 30 % then come back
+    in 30 steps on the nine spheres at 64 x 64, where otherwise some were lost in depth. Colours
+    take 12 steps without.
+    """
 
     rtol: float
     atol: float
@@ -75,9 +87,15 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     search: optx.AbstractSearch
     verbose: Callable[..., None]
 
-    def __init__(self, rtol: float, atol: float, lower: PyTree, upper: PyTree):
+    def __init__(
+        self, rtol: float, atol: float, lower: PyTree, upper: PyTree, cautious: bool = False
+    ):
         """**Arguments:** `lower`, `upper`: pytrees like the unknowns, -inf and inf for no bound."""
         self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
-        self.descent = BoundedDescent(lower, upper)
+        self.descent = BoundedDescent(lower, upper, cautious)
         self.search = optx.ClassicalTrustRegion()
+        if cautious:
+            self.search = optx.ClassicalTrustRegion(
+                high_cutoff=0.75, low_cutoff=0.25, high_constant=2.0
+            )
         self.verbose = lambda **kwargs: None

@@ -140,7 +140,7 @@ def fit(
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
     values = to_solver(scene, free, scales)
     if solver is None:
-        solver = BoundedLevenbergMarquardt(rtol, atol, *bounds(values))
+        solver = BoundedLevenbergMarquardt(rtol, atol, *bounds(values), cautious=bool(edges))
     run = _Run(solver, residual, (scene, scales, goal), rtol + atol)
     values, result, interrupted = run.solve(values, max_steps, callback)
     if throw and not interrupted and result != optx.RESULTS.successful:
