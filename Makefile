@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow bench lint references clean
+.PHONY: demo test test-slow bench bench-edges lint references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
@@ -18,6 +18,10 @@ test-slow: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tests/bench/picture.py
+
+# pictures, derivatives and cost of covered edges; about ten minutes
+bench-edges: $(READY)
+	$(BIN)/python tests/bench/edges.py
 
 lint: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[lint]'

@@ -16,6 +16,9 @@ Mask = Bool[Array, "*#pixels"]
 Ids = Int[Array, "*#pixels"]
 """The number of an object per pixel: spheres first, then planes; -1 where there is none."""
 
+Index = int | Int[Array, ""]
+"""The number of one object or light, in a loop that is written out or not."""
+
 Picture = Float[Array, "height width 3"]
 """Linear RGB, row 0 at the top, unclamped."""
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._types import Mask, Plane
+from ._types import Index, Mask, Plane
 from .camera import Ray, view_frame
 from .intersect import perpendicular, ray_plane
 from .options import Options
@@ -100,7 +100,7 @@ def near_edge(
     if not needs.shadows and not needs.highlights:
         return edge
 
-    def light_edge(k: int, edge: Mask) -> Mask:
+    def light_edge(k: Index, edge: Mask) -> Mask:
         light = vec(lights[k])
         phase = lambda: _edge_of_light(world, ray, footprint, hit, surface, light, options)
         return edge | hits & materialise(phase, world.window)
@@ -109,7 +109,7 @@ def near_edge(
 
 
 def _rim(
-    world: World, i: int, ray: Ray, cone: Cone, hit: Hit, t: Plane, leaving: Hit | None
+    world: World, i: Index, ray: Ray, cone: Cone, hit: Hit, t: Plane, leaving: Hit | None
 ) -> Mask:
     """A sphere's silhouette; none shows of the sphere that the ray just left."""
     ball = row(world.balls, i)
@@ -125,14 +125,14 @@ def _between(square: Plane, radius: Plane, width: Plane, scale: Plane | int) -> 
     return (square < outer * outer * scale) & ((inner < 0) | (square > inner * inner * scale))
 
 
-def _horizon(world: World, i: int, ray: Ray, cone: Cone, hit: Hit) -> Mask:
+def _horizon(world: World, i: Index, ray: Ray, cone: Cone, hit: Hit) -> Mask:
     """Where a plane is seen edge-on, unless a sphere hides it."""
     level = jnp.abs(dot(ray.direction, row(world.flats, i).normal)) < cone.spread
     return level & ((hit.id < 0) | (hit.id >= world.spheres))
 
 
 def _meets_ball(
-    world: World, i: int, ray: Ray, width: Plane, steep: Plane, hit: Hit, t: Plane
+    world: World, i: Index, ray: Ray, width: Plane, steep: Plane, hit: Hit, t: Plane
 ) -> Mask:
     """Whether a sphere cuts the surface hit: both are equally deep somewhere in the pixel.
 
@@ -146,7 +146,7 @@ def _meets_ball(
 
 
 def _meets_plane(
-    world: World, i: int, ray: Ray, width: Plane, steep: Plane, hit: Hit, t: Plane
+    world: World, i: Index, ray: Ray, width: Plane, steep: Plane, hit: Hit, t: Plane
 ) -> Mask:
     flat = row(world.flats, i)
     slope = jnp.abs(dot(ray.direction, flat.normal))
@@ -174,7 +174,7 @@ def _edge_of_light(
     square = dot(to_light, to_light)
     cosine = dot(surface.normal, to_light)
 
-    def shadow(i, edge: Mask) -> Mask:
+    def shadow(i: Index, edge: Mask) -> Mask:
         ball = row(world.balls, i)
         to_center = ball.center * scale - point
         off = cross(to_center, to_light)
@@ -182,7 +182,7 @@ def _edge_of_light(
         near = _between(dot(off, off), ball.radius * scale, width, square)
         return edge | near & (along > 0) & (along < square) & (hit.id != i)
 
-    def foot(i, edge: Mask) -> Mask:
+    def foot(i: Index, edge: Mask) -> Mask:
         flat = row(world.flats, i)
         near = jnp.abs(dot(point - flat.point * scale, flat.normal)) < width
         return edge | near & (hit.id != i + world.spheres)

@@ -14,4 +14,4 @@ class PictureError(InputError):
 
 
 class SceneWarning(UserWarning):
-    """A scene file that can be read but breaks a rule of the lecture."""
+    """A scene that can be used but breaks a rule, or cannot give what is asked of it."""

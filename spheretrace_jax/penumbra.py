@@ -71,6 +71,7 @@ def _occluders(
     here = point.value
     to_light = light - here
     shape, far = to_light.x.shape, norm(to_light)
+    footprint = (norm(point.dx) + norm(point.dy)) / 2
 
     def add(state: tuple, i, full: Mask, touched: Mask, center: Mask) -> tuple:
         """**Arguments:** whether object i darkens all of the pixel, any of it, and its centre."""
@@ -97,7 +98,9 @@ def _occluders(
             between = (between | light_inside) & ~own
             full = (inner >= reach) & between
             return add(state, i, full, (inner > -reach) & between, inner > 0)
-        inside = jnp.where(own, hit.inside, dot(to_center, to_center) < square)
+        # a mean point may lie a little inside a sphere that cuts the surface in this pixel
+        deep = jnp.maximum(ball.radius - footprint, 0)
+        inside = jnp.where(own, hit.inside, dot(to_center, to_center) < deep * deep)
         within = inside | light_inside
         full = jnp.where(within, inside != light_inside, (inner >= reach) & between & ~own)
         touched = jnp.where(within, full, (inner > -reach) & between & ~own)

@@ -40,6 +40,9 @@ def parameter_table(start: Scene, fitted: Scene, free: tuple[str, ...]) -> str:
     lines = ["| parameter | object | before | after |", "|---|---|---|---|"]
     for name in free:
         before, after = (np.asarray(value(scene, name)) for scene in (start, fitted))
+        if before.ndim == 0:
+            lines.append(f"| {name} | camera | {_numbers(before)} | {_numbers(after)} |")
+            continue
         kind = "light" if name.startswith("light") else "sphere"
         for i, (b, a) in enumerate(zip(before, after, strict=True)):
             lines.append(f"| {name} | {kind} {i + 1} | {_numbers(b)} | {_numbers(a)} |")

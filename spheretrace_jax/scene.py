@@ -289,7 +289,8 @@ class Scene(eqx.Module):
     def with_antialias(self, antialias: int) -> "Scene":
         """The same scene with another antialias flag."""
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return Scene(**(parts | {"antialias": antialias}))
+        parts["antialias"] = antialias
+        return Scene(**parts)
 
     def astype(self, dtype: Any) -> "Scene":
         """The same scene in another floating dtype."""

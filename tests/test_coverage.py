@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as some
+from hypothesis import assume, given, settings, strategies as some
 
-from spheretrace_jax.coverage import disc, half_plane
+from spheretrace_jax import coverage
 from spheretrace_jax.vec import Vec
+
+disc, half_plane = jax.jit(coverage.disc), jax.jit(coverage.half_plane)
 
 FLOATS = pytest.mark.parametrize("dtype", [np.float32, np.float64])
 
@@ -93,7 +95,9 @@ def test_an_edge_along_the_rows_is_the_limit_of_tilted_ones():
     f = jnp.linspace(-1, 1, 41)
     tilts = [half_plane(f, jnp.ones_like(f), jnp.full_like(f, m)) for m in (0, 1e-9, 1e-6)]
     slopes = [
-        jax.grad(lambda f, m=m: half_plane(f, jnp.ones_like(f), jnp.full_like(f, m)).sum())(f + 0.01)
+        jax.grad(lambda f, m=m: half_plane(f, jnp.ones_like(f), jnp.full_like(f, m)).sum())(
+            f + 0.01
+        )
         for m in (0, 1e-9, 1e-6)
     ]
     for tilted, slope in zip(tilts, slopes, strict=True):
@@ -133,10 +137,10 @@ def test_discs_have_the_area_that_is_counted(dtype):
 def test_a_disc_is_the_same_from_all_sides():
     q, qx, qy, radius = random_discs(200)
     along = RNG.normal(size=(2, 200, 1)) * TURN[2]  # what qx and qy have along the ray is not seen
-    turned = lambda v: Vec(*(v @ TURN[:2]).T)
-    axis = Vec(*(np.full(200, c) for c in TURN[2]))
-    qx3, qy3 = (Vec(*(v @ TURN[:2] + a).T) for v, a in zip((qx, qy), along, strict=True))
-    area = disc(turned(q), qx3, qy3, axis, radius)
+    planes = lambda rows: Vec(*jnp.asarray(rows).T)
+    axis = planes(np.tile(TURN[2], (200, 1)))
+    qx3, qy3 = (planes(v @ TURN[:2] + a) for v, a in zip((qx, qy), along, strict=True))
+    area = disc(planes(q @ TURN[:2]), qx3, qy3, axis, jnp.asarray(radius))
     np.testing.assert_allclose(area, flat_disc(q, qx, qy, radius), atol=1e-12)
 
 
@@ -169,22 +173,23 @@ def test_the_parts_of_all_pixels_add_up_to_the_disc(dtype, x, y, radius, angle):
     q = np.stack([c * px - s * py, s * px + c * py], axis=-1).reshape(n, 2).astype(dtype)
     axes = (np.broadcast_to(np.array(v, dtype), (n, 2)) for v in ((c, s), (-s, c)))
     parts = flat_disc(q, *axes, np.full(n, radius, dtype))
-    area = np.pi * radius**2
-    np.testing.assert_allclose(np.sum(parts), area, rtol=2e-3 if dtype == np.float32 else 1e-9)
+    eps = float(np.finfo(dtype).eps)
+    np.testing.assert_allclose(np.sum(parts), np.pi * radius**2, rtol=64 * eps, atol=256 * eps)
 
 
 @settings(max_examples=100, deadline=None)
 @given(*[some.floats(-2, 2)] * 3)
 def test_a_half_plane_is_the_mean_of_the_boxs_quarters_and_the_rest_of_its_negative(f, fx, fy):
+    assume(max(abs(fx), abs(fy)) > 1e-6)
     f, fx, fy = (np.array([v]) for v in (f, fx, fy))
-    if not fx and not fy:
-        return
     quarters = [
-        half_plane(f + fx * a + fy * b, fx / 2, fy / 2) for a in (-0.25, 0.25) for b in (-0.25, 0.25)
+        half_plane(f + fx * a + fy * b, fx / 2, fy / 2)
+        for a in (-0.25, 0.25)
+        for b in (-0.25, 0.25)
     ]
     whole = half_plane(f, fx, fy)
     np.testing.assert_allclose(whole, sum(quarters) / 4, atol=1e-7)
-    np.testing.assert_allclose(half_plane(-f, -fx, -fy), 1 - whole, atol=1e-12)
+    np.testing.assert_allclose(half_plane(-f, -fx, -fy), 1 - whole, atol=1e-7)
 
 
 def test_a_small_disc_grows_by_its_circumference_wherever_it_is():
@@ -224,8 +229,9 @@ def test_degenerate_discs_have_finite_areas_and_derivatives(dtype):
             [2, 0, 0, 0, 1, 0, 1.5],
             [0, 0, 0, 0, 0, 1, 1],
             [1, 1, 1, 0, 0, 1, 1e-12],
+            [0.5, 0, 1, 0, 0, 1, 1e-4],  # a border through the middle
             [0.5, 0, 1, 0, 0, 1, 1e-12],  # a speck on the side
-            [1, 1, 1, 0, 0, 1, 1e12],
+            [1, 1, 1, 0, 0, 1, 1e6],
             [0.5, 0.5, 1, 0, 0, 1, np.sqrt(2)],  # a circle through the corner
         ],
         dtype,
@@ -236,7 +242,7 @@ def test_degenerate_discs_have_finite_areas_and_derivatives(dtype):
     assert ((area >= 0) & (area <= 1)).all()
     slopes = jax.grad(lambda v: flat_disc(*v).sum())(inputs)
     assert all(np.isfinite(slope).all() for slope in slopes)
-    f = jnp.asarray([0, 0, 1e-30, 1e30, -1, 0], dtype)
-    fx, fy = jnp.asarray([[0, 1, 1e-30, 1e30, 0, 1e-30], [0, 1, 0, 1e30, 0, 1e30]], dtype)
+    f = jnp.asarray([0, 0, 1e-15, 1e15, -1, 0], dtype)
+    fx, fy = jnp.asarray([[0, 1, 1e-15, 1e15, 0, 1e-15], [0, 1, 0, 1e15, 0, 1e15]], dtype)
     slopes = jax.grad(lambda v: half_plane(*v).sum())((f, fx, fy))
     assert all(np.isfinite(slope).all() for slope in slopes)

@@ -45,3 +45,11 @@ def test_fit_picture(tmp_path):
     assert max(found["ka*color"], found["kd*color"], found["ks"]) < 1e-8
     assert found["light_position"] < 1e-5
     assert np.isfinite(list(found.values())).all()
+
+
+def test_fit_geometry(tmp_path):
+    said = run("fit_geometry.py", "--size", "40", folder=tmp_path)
+    assert "converged after" in said and "NOT" not in said
+    found = {k: float(v) for k, v in re.findall(r"(\S+) +largest error (\S+)", said)}
+    assert set(found) == {"center", "radius", "light_position"} and max(found.values()) < 1e-8
+    assert st.read_image(tmp_path / "fit_geometry.png").mean() > 0.1
