@@ -252,7 +252,10 @@ def test_an_interrupt_outside_of_a_fit_writes_nothing(spheretrace, folder, monke
 
 # --- mistakes -------------------------------------------------------------------------------------
 
-FREE = "color, ka, kd, ks, kgr, kt, exponent, light_color, light_position"
+FREE = (
+    "color, ka, kd, ks, kgr, kt, exponent, light_color, light_position, "
+    "center, radius, theta, phi, mu, distance"
+)
 
 MISTAKES = {
     "missing scene": (
@@ -408,7 +411,7 @@ HELP = {
     "render": [
         *("SCENE", "-o IMAGE", "--size WxH", "width and height in pixels", "512x512"),
         *("--highlight {phong,blinn}", "--bounces N", "reflections and transmissions at most"),
-        *("--samples K", "K x K rays per pixel", "--dtype {float32,float64}", "--bits B"),
+        *("--samples K", "mean of K x K parts", "--dtype {float32,float64}", "--bits B"),
         *("--colorspace {auto,linear,srgb}", "how to code the file's numbers", "png, ppm"),
     ],
     "fit": [

@@ -80,6 +80,7 @@ def test_centres_and_radii_come_back_to_1e_8():
     assert sphere_error(found.scene, truth) < 1e-8
 
 
+@pytest.mark.slow
 def test_the_camera_comes_back_to_1e_8():
     truth = two_over_a_floor()
     found = st.fit(turned(truth), st.render(truth, **SMALL), free=CAMERA)
