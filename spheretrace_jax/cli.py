@@ -19,6 +19,7 @@ import tyro
 from tyro.conf import Positional, arg
 
 from .errors import InputError, SceneWarning
+from .fit.parameters import NAMES
 from .fit.solve import DEFAULT_FREE
 
 Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
@@ -90,8 +91,7 @@ class FitCommand:
         str,
         arg(
             metavar="NAMES",
-            help="what to fit, with commas: color, ka, kd, ks, exponent, kgr, kt, "
-            "light_position, light_color, center, radius, theta, phi, mu, distance",
+            help=f"what to fit, with commas: {', '.join(NAMES)}",
         ),
     ] = ",".join(DEFAULT_FREE)
     highlight: Highlight = "phong"

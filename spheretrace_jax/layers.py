@@ -15,16 +15,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Int
 
-from ._types import Mask, Plane
+from ._types import Index, Mask, Plane
 from .appearance import background, local_color
 from .camera import Ray
-from .coverage import disc, half_plane, share
+from .coverage import Region, disc_region, half_plane, half_plane_region, share
 from .intersect import perpendicular
 from .needs import Needs
 from .options import Options
 from .paths import Path, next_path, radiance
 from .penumbra import unoccluded_part
-from .phases import fetch, keep, over, smallest_int
+from .phases import fetch, keep, over
 from .scene import Scene
 from .shading import HIGHLIGHTS, lambert, power, toward_light
 from .varying import Varying
@@ -34,14 +34,6 @@ from .world import Hit, Material, Surface, World, surface_at
 
 #: Layers of one pixel; the last one is taken to cover all that is left of it.
 MOST_LAYERS = 8
-
-
-class Outline(eqx.Module):
-    """How a layer fills a pixel."""
-
-    part: Plane  #: how much of the pixel it covers
-    right: Plane  #: in which direction it lies from its edge, a unit vector in the picture
-    down: Plane
 
 
 class Layer(eqx.Module):
@@ -68,20 +60,19 @@ def layered(
     needs, black = options.needs, zeros(alive.shape, scene.dtype)
     layers, shown = _peel(world, beam, needs, alive, leaving)
 
-    def layer(layer: Layer, shown: Mask) -> tuple[Outline, Vec]:
-        def see() -> tuple[Outline, Vec]:
+    def layer(layer: Layer, shown: Mask) -> tuple[Region, Vec]:
+        def see() -> tuple[Region, Vec]:
             outline, reach = keep(covered(world, beam, layer, needs))
             color = layer_color(scene, world, beam, layer.hit, reach, options, shown, leaving)
             part = jnp.where(shown, outline.part, 0)
-            return Outline(part, outline.right, outline.down), where(shown, color, black)
+            return Region(part, outline.right, outline.down), where(shown, color, black)
 
-        nothing = Outline(black.x, black.x, black.x), black
+        nothing = Region(black.x, black.x, black.x), black
         return lax.cond(jnp.any(shown), see, lambda: nothing)
 
     outlines, colors = lax.map(lambda x: jax.checkpoint(layer)(*x), (layers, shown))
     front, back = (jax.tree.map(lambda x, s=s: x[s], outlines) for s in (slice(-1), slice(1, None)))
-    agreement = front.right * back.right + front.down * back.down
-    parts = jnp.concatenate([outlines.part[:1], share(back.part, front.part, agreement)])
+    parts = jnp.concatenate([outlines.part[:1], share(front, back)])
     if len(shown) == MOST_LAYERS:
         parts = parts.at[-1].set(jnp.where(shown[-1], 1, parts[-1]))
     # what passes all layers in front, and in the end all there are
@@ -99,7 +90,7 @@ def _peel(
 ) -> tuple[Layer, Mask]:
     """The layers from front to back, stacked, and which pixels have them; without derivatives."""
     world, beam = jax.lax.stop_gradient((world, beam))
-    none = Hit(jnp.full(alive.shape, -1, _id_type(world)), jnp.full(alive.shape, False))
+    none = Hit(jnp.full(alive.shape, -1, world.id_type), jnp.full(alive.shape, False))
     start = Layer(
         none, jnp.zeros(alive.shape, world.window.dtype), none if needs.crossings else None
     )
@@ -119,10 +110,6 @@ def _peel(
 
     most = min(MOST_LAYERS, world.spheres + world.planes + 1)
     return lax.scan(further, (start, alive), jnp.arange(most, dtype=jnp.int32))[1]
-
-
-def _id_type(world: World) -> jnp.dtype:
-    return smallest_int(world.spheres + world.planes)
 
 
 def next_layer(
@@ -175,7 +162,7 @@ def next_layer(
             covers = covers & (leaving.id != number)
         return enter(best, number, t, covers, jnp.full(shape, False))
 
-    dtype = _id_type(world)
+    dtype = world.id_type
     none = (
         jnp.full(shape, jnp.inf, beam.value.direction.x.dtype),
         jnp.full(shape, -1, jnp.int32),
@@ -189,7 +176,7 @@ def next_layer(
     return Layer(Hit(number.astype(dtype), inside), t, behind)
 
 
-def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tuple[Outline, Plane]:
+def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tuple[Region, Plane]:
     """How a layer fills the pixel, and how far its edge function varies (`surface_at`)."""
     outline, reach = _outline(world, beam, layer.hit, needs)
     if layer.behind is None:
@@ -205,33 +192,29 @@ def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tup
     f = beam.map(ahead)
     hidden = other.part * (1 - half_plane(f.value, f.dx, f.dy))
     shows = jnp.where(layer.behind.id >= 0, 1 - hidden, 1)
-    return Outline(outline.part * shows, outline.right, outline.down), reach
+    return Region(outline.part * shows, outline.right, outline.down), reach
 
 
-def _outline(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> tuple[Outline, Plane]:
+def _outline(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> tuple[Region, Plane]:
     """What of a pixel is inside an object's silhouette; all of it, if there is none."""
     ball = fetch(world.balls, hit.id)
     is_ball = (hit.id >= 0) & (hit.id < world.spheres)
     q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    part = disc(q.value, q.dx, q.dy, beam.value.direction, radius)
-    part = jnp.where(is_ball & ~hit.inside, part, 1)
-    right, down = -dot(q.value, q.dx), -dot(q.value, q.dy)
+    inside = disc_region(q, beam.value.direction, radius)
+    part = jnp.where(is_ball & ~hit.inside, inside.part, 1)
+    outline = Region(part, inside.right, inside.down)
     reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
     if needs.planes:
         flat = fetch(world.flats, hit.id - world.spheres)
         slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
         away = dot(flat.point - beam.value.origin, flat.normal)
         side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-        level = half_plane(side * slope.value, slope.dx, slope.dy)
+        level = half_plane_region(jax.tree.map(lambda s: s * side, slope))
         level_reach = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
-        is_plane = hit.id >= world.spheres
-        part, reach = jnp.where(is_plane, level, part), jnp.where(is_plane, level_reach, reach)
-        right = jnp.where(is_plane, side * slope.dx, right)
-        down = jnp.where(is_plane, side * slope.dy, down)
-    length = safe_sqrt(right * right + down * down)
-    per_length = 1 / jnp.where(length > 0, length, 1)
-    return Outline(part, right * per_length, down * per_length), reach
+        pick = lambda a, b: jnp.where(hit.id >= world.spheres, a, b)
+        outline, reach = jax.tree.map(pick, (level, level_reach), (outline, reach))
+    return outline, reach
 
 
 def layer_color(
@@ -255,18 +238,20 @@ def layer_color(
         return color
     later = dataclasses.replace(options, bounces=options.bounces - 1)
 
-    def choose(choice: int | Int[Array, ""]) -> Vec:
-        def onward(ray: Ray) -> Ray:
+    def choose(choice: Index) -> Vec:
+        def onward(ray: Ray, surface: Surface) -> Path:
             path = Path(ray, hit, jnp.ones_like(reach), alive, None)
-            path = next_path(world, path, mean_surface(ray), material, needs, choice)
-            return Ray(path.ray.origin, unit(path.ray.direction))
+            path = next_path(world, path, surface, material, needs, choice)
+            # the mean normal of a sphere as small as the pixel is shorter than 1
+            mirrored = Ray(path.ray.origin, unit(path.ray.direction))
+            return eqx.tree_at(lambda p: p.ray, path, mirrored)
 
-        path = Path(ray, hit, jnp.ones_like(reach), alive, None)
-        path = next_path(world, path, surface.value, material, needs, choice)
+        path = onward(ray, surface.value)
         if leaving is None:
-            seen = layered(scene, world, beam.map(onward), later, path.alive, path.hit)
+            further = beam.map(lambda ray: onward(ray, mean_surface(ray)).ray)
+            seen = layered(scene, world, further, later, path.alive, path.hit)
         else:
-            seen = radiance(scene, world, onward(ray), later, path.hit, path.alive)[0]
+            seen = radiance(scene, world, path.ray, later, path.hit, path.alive)[0]
             seen = where(path.alive, seen, zeros(alive.shape, scene.dtype))
         return seen * path.weight
 
@@ -294,7 +279,7 @@ def _terms(
     cosine = surface.map(lambda s: lambert(s, toward_light(s, light)))
     part = (hit.id >= 0).astype(cosine.value.dtype)
     if needs.shadows:
-        point = Varying(surface.value.point, surface.dx.point, surface.dy.point)
+        point = surface.map(lambda s: s.point)
         part = part * unoccluded_part(world, point, hit, light, needs)
     diffuse = jnp.maximum(cosine.value, 0) * part
     if not needs.highlights:

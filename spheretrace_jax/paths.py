@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Int
 
-from ._types import Mask, Plane
+from ._types import Index, Mask, Plane
 from .appearance import background, local_color
 from .camera import Ray
 from .edges import Cone, near_edge, onward
@@ -131,7 +131,7 @@ def shade(
     world: World,
     path: Path,
     options: Options,
-    choice: Int[Array, ""] | int = 0,
+    choice: Index = 0,
 ) -> tuple[Vec, Path]:
     """What a path's present hit adds to the picture, and the path that goes on from there.
 
@@ -180,7 +180,7 @@ def next_path(
     surface: Surface,
     material: Material,
     needs: Needs,
-    choice: Int[Array, ""] | int,
+    choice: Index,
 ) -> Path:
     """The path mirrored in the surface, or straight on through it, with its weight.
 

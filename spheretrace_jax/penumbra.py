@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from ._types import Ids, Mask, Plane
-from .coverage import disc, half_plane, share
+from .coverage import Region, disc_region, half_plane_region, share
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch, over, smallest_int
+from .phases import fetch, over
 from .varying import Varying
-from .vec import Vec, dot, norm, safe_sqrt, unit
+from .vec import Vec, dot, norm, unit
 from .visibility import row
 from .world import Hit, World
 
@@ -29,9 +29,7 @@ def unoccluded_part(world: World, point: Varying[Vec], hit: Hit, light: Vec, nee
     """
     blocked, edges = _occluders(world, point, hit, light, needs)
     one, other = (_shadow(world, point, number, light, needs) for number in edges)
-    (dark, right, down), (more, other_right, other_down) = one, other
-    lit = (1 - dark) * (1 - share(more, dark, right * other_right + down * other_down))
-    return jnp.where(blocked, 0, lit)
+    return jnp.where(blocked, 0, (1 - one.part) * (1 - share(one, other)))
 
 
 def _from_light(point: Vec, light: Vec, center: Vec) -> tuple[Plane, Vec]:
@@ -39,28 +37,20 @@ def _from_light(point: Vec, light: Vec, center: Vec) -> tuple[Plane, Vec]:
     return perpendicular(point, unit(light - point), center)
 
 
-def _shadow(
-    world: World, point: Varying[Vec], number: Ids, light: Vec, needs: Needs
-) -> tuple[Plane, Plane, Plane]:
-    """The part of the pixel in the shadow of one object, 0 where there is none.
-
-    **Returns:** beside it the direction, right and down in the picture, in which the shadow lies.
-    """
+def _shadow(world: World, point: Varying[Vec], number: Ids, light: Vec, needs: Needs) -> Region:
+    """The part of the pixel in the shadow of one object, 0 where there is none."""
     ball = fetch(world.balls, number)
     q = point.map(lambda p: _from_light(p, light, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    dark = disc(q.value, q.dx, q.dy, unit(light - point.value), radius)
-    right, down = -dot(q.value, q.dx), -dot(q.value, q.dy)
+    dark = disc_region(q, unit(light - point.value), radius)
     if needs.planes:
         flat = fetch(world.flats, number - world.spheres)
-        side = jnp.where(dot(light - flat.point, flat.normal) > 0, -1, 1).astype(dark.dtype)
+        side = jnp.where(dot(light - flat.point, flat.normal) > 0, -1, 1).astype(radius.dtype)
         f = point.map(lambda p: dot(p - flat.point, flat.normal) * side)
         is_plane = number >= world.spheres
-        dark = jnp.where(is_plane, half_plane(f.value, f.dx, f.dy), dark)
-        right, down = jnp.where(is_plane, f.dx, right), jnp.where(is_plane, f.dy, down)
-    length = safe_sqrt(right * right + down * down)
-    per_length = 1 / jnp.where(length > 0, length, 1)
-    return jnp.where(number >= 0, dark, 0), right * per_length, down * per_length
+        pick = lambda a, b: jnp.where(is_plane, a, b)
+        dark = jax.tree.map(pick, half_plane_region(f), dark)
+    return Region(jnp.where(number >= 0, dark.part, 0), dark.right, dark.down)
 
 
 def _occluders(
@@ -116,7 +106,7 @@ def _occluders(
         full, touched = (inner >= reach) & other, (inner > -reach) & other
         return add(state, i + world.spheres, full & (inner > 0), touched, inner > 0)
 
-    none = jnp.full(shape, -1, smallest_int(world.spheres + world.planes))
+    none = jnp.full(shape, -1, world.id_type)
     state = jnp.full(shape, False), (none,) * EDGES
     state = over(world.spheres, sphere, state, unroll=0)
     return over(world.planes, plane, state, unroll=0) if needs.planes else state

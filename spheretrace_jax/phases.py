@@ -9,9 +9,9 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from ._types import Ids, Plane, Scalar
+from ._types import Ids, Index, Plane, Scalar
 
 T = TypeVar("T")
 
@@ -70,9 +70,7 @@ def keep(values: T) -> T:
     return lax.cond((some < 1) | (some >= 1) | jnp.isnan(some), lambda v: v, zeros, values)
 
 
-def over(
-    count: int, body: Callable[[int | Int[Array, ""], T], T], start: T, unroll: int = UNROLL
-) -> T:
+def over(count: int, body: Callable[[Index, T], T], start: T, unroll: int = UNROLL) -> T:
     """`body(count - 1, ... body(1, body(0, start)))`: written out if short, a loop if long."""
     if count <= unroll:
         for i in range(count):

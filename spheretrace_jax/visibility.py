@@ -14,7 +14,7 @@ from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
 from .intersect import ray_plane, ray_sphere
 from .needs import Needs
-from .phases import fetch, materialise, over, smallest_int
+from .phases import fetch, materialise, over
 from .vec import Vec, cross, dot
 from .world import Ball, Flat, Hit, World
 
@@ -61,7 +61,7 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
         best = over(world.spheres, sphere, best)
         if needs.planes:
             best = over(world.planes, plane, best)
-        return best[1].astype(smallest_int(world.spheres + world.planes))
+        return best[1].astype(world.id_type)
 
     number = materialise(phase, world.window)
     if not needs.inside:

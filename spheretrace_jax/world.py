@@ -14,7 +14,7 @@ from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray, view_frame
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch
+from .phases import fetch, smallest_int
 from .scene import Scene
 from .vec import Vec, dot, norm, safe_sqrt, unit, vec, where
 
@@ -85,6 +85,11 @@ class World(eqx.Module):
     @property
     def planes(self) -> int:
         return self.flats.point.x.shape[0]
+
+    @property
+    def id_type(self) -> jnp.dtype:
+        """The smallest type that holds the objects' numbers."""
+        return smallest_int(self.spheres + self.planes)
 
 
 def _columns(array: Float[Array, "rows 3"]) -> Vec:

@@ -74,7 +74,7 @@ def nine_spheres(light=(100.0, 900.0, 300.0), dtype=np.float64) -> st.Scene:
     """The lecture's scene, not antialiased; by default with a light that casts shadows."""
     scene = st.load_scene(Path(__file__).parent.parent / "data" / "nine_spheres.txt", dtype)
     scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray([light], dtype))
-    return st.Scene(scene.spheres, scene.lights, scene.camera)
+    return scene.with_antialias(0)
 
 
 def three_spheres(antialias: int = 0) -> st.Scene:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bench.edges import PARAMETERS, antialiased, blurred, derivative, difference, off
+from bench.edges import PARAMETERS, blurred, derivative, difference, off
 from jaxtyping import Array, Float
 from scenes import SCENES, WHITE, nine_spheres, three_spheres
 
@@ -35,10 +35,7 @@ def balls(center, radius, color=(1.0, 1, 1), ka=1.0, kd=0.0, **rest) -> st.Scene
 
 def rays(scene: st.Scene, samples: int, **settings) -> np.ndarray:
     """The truth: samples x samples rays per pixel."""
-    hard = st.Scene(
-        scene.spheres, scene.lights, scene.camera, scene.planes, background=scene.background
-    )
-    return np.asarray(st.render(hard, samples=samples, **settings))
+    return np.asarray(st.render(scene.with_antialias(0), samples=samples, **settings))
 
 
 def framed(scene: st.Scene, window: float) -> st.Scene:
@@ -53,7 +50,7 @@ def test_pictures_come_near_the_truth():
     scene = three_spheres()
     truth = np.asarray(st.render(scene, samples=64, **SIZE))
     point = off(st.render(scene, **SIZE), truth)
-    one, two = (off(st.render(antialiased(scene), samples=k, **SIZE), truth) for k in (1, 2))
+    one, two = (off(st.render(scene.with_antialias(1), samples=k, **SIZE), truth) for k in (1, 2))
     assert one < 0.01
     assert one < point / 10
     assert two < one / 3
@@ -62,7 +59,7 @@ def test_pictures_come_near_the_truth():
 @cache
 def derivatives():
     scene = three_spheres()
-    return derivative(antialiased(scene), **SIZE), derivative(scene, **SIZE)
+    return derivative(scene.with_antialias(1), **SIZE), derivative(scene, **SIZE)
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -107,7 +104,7 @@ def dull(scene: st.Scene) -> st.Scene:
     """Without highlights: narrow ones differ where they are averaged, which is no edge."""
     scene = eqx.tree_at(lambda s: s.spheres.ks, scene, 0 * scene.spheres.ks)
     scene = eqx.tree_at(lambda s: s.planes.ks, scene, 0 * scene.planes.ks)
-    return antialiased(scene)
+    return scene.with_antialias(1)
 
 
 def overlooked(monkeypatch, scene: st.Scene, **settings) -> float:

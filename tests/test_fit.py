@@ -40,9 +40,7 @@ def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
 )
 def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, options):
     lecture = nine_spheres(LIGHT)
-    truth = with_random_colors(
-        st.Scene(lecture.spheres, lecture.lights, lecture.camera, antialias=1)
-    )
+    truth = with_random_colors(lecture.with_antialias(1))
     target = st.render(truth, width=size, height=size, **options)
     found = st.fit(wrong_start(truth), target, **options)
     assert found.converged and found.result == optx.RESULTS.successful

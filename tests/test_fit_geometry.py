@@ -29,10 +29,6 @@ def two_over_a_floor(unit: float = 1.0) -> st.Scene:
     return st.Scene(spheres, st.Lights(unit * np.array([[200.0, 300, 500]])), camera, antialias=1)
 
 
-def antialiased(scene: st.Scene) -> st.Scene:
-    return st.Scene(scene.spheres, scene.lights, scene.camera, antialias=1)
-
-
 def with_spheres_off(scene: st.Scene, directions, signs) -> st.Scene:
     """Centres off by half a radius along x and y, radii off by 30 %."""
     s = scene.spheres
@@ -130,7 +126,7 @@ def test_lengths_that_have_no_logarithm_cannot_be_free():
 
 @pytest.mark.slow
 def test_the_nine_spheres_come_back_from_their_antialiased_picture():
-    truth = antialiased(nine_spheres(LIGHT))
+    truth = nine_spheres(LIGHT).with_antialias(1)
     target = st.render(truth, width=256, height=256, **MATTE)
     found = st.fit(displaced_nine(truth), target, free=SPHERES, **MATTE)
     assert found.converged
@@ -148,7 +144,7 @@ def test_the_nine_spheres_come_back_from_their_antialiased_picture():
 def test_the_nine_spheres_come_back_from_a_supersampled_picture(start, free, error, largest):
     truth = nine_spheres(LIGHT)
     target = st.render(truth, width=256, height=256, samples=16, **MATTE)
-    found = st.fit(start(antialiased(truth)), target, free=free, **MATTE)
+    found = st.fit(start(truth.with_antialias(1)), target, free=free, **MATTE)
     assert found.converged
     assert error(found.scene, truth) < largest
 

@@ -113,7 +113,7 @@ def test_samples_are_the_average_of_a_finer_picture(name):
 
 def test_antialias_1_is_nearer_to_many_samples_than_as_many_rays():
     scene = SCENES["shadows"]
-    smooth = st.Scene(scene.spheres, scene.lights, scene.camera, antialias=1)
+    smooth = scene.with_antialias(1)
     size = dict(width=48, height=48)
     truth = st.render(scene, samples=16, **size)
     error = lambda picture: float(jnp.linalg.norm(picture - truth))

@@ -44,11 +44,6 @@ def moved(scene: st.Scene, name: str, step: float) -> st.Scene:
     return eqx.tree_at(where, scene, where(scene).at[place].add(step))
 
 
-def antialiased(scene: st.Scene) -> st.Scene:
-    parts = (getattr(scene, field) for field in ("spheres", "lights", "camera", "planes"))
-    return st.Scene(*parts, background=scene.background, antialias=1)
-
-
 def difference(scene: st.Scene, name: str, step: float, **settings) -> np.ndarray:
     """The derivative of a picture by one parameter, as a central difference."""
     up, down = (st.render(moved(scene, name, s), **settings) for s in (step, -step))
@@ -95,7 +90,7 @@ def picture_errors(title: str, scene: st.Scene, size: int, samples: tuple[int, .
     finer = off(st.render(scene, samples=64, **settings), truth)
     print(f"\npicture: {title}, {size} x {size}, float64 (truth 96 x 96 rays: 64 x 64 {finer:.1e})")
     print(f"{'samples':8} {'coverage':>20} {'points':>20}")
-    scenes = {"coverage": antialiased(scene), "points": scene}
+    scenes = {"coverage": scene.with_antialias(1), "points": scene}
     draw = {(n, k): lambda s=s, k=k: st.render(s, samples=k, **settings)
             for n, s in scenes.items() for k in samples}  # fmt: skip
     seconds = medians(draw, 5)
@@ -109,7 +104,7 @@ def picture_errors(title: str, scene: st.Scene, size: int, samples: tuple[int, .
 
 def derivative_errors(size: int, samples: tuple[int, ...]) -> None:
     scene, settings = three_spheres(), dict(width=size, height=size, bounces=0)
-    smooth = antialiased(scene)
+    smooth = scene.with_antialias(1)
     forward = {f"coverage {k}": derivative(smooth, samples=k, **settings) for k in samples}
     forward = forward | {"points": derivative(scene, **settings)}
     print(f"""
@@ -137,7 +132,7 @@ weight and of the picture. The truth are differences of rays: for sums 24 x 24 r
 def cost(size: int, runs: int) -> None:
     scene = nine_spheres(dtype=np.float32)
     works = {}
-    for name, s in {"coverage": antialiased(scene), "points": scene}.items():
+    for name, s in {"coverage": scene.with_antialias(1), "points": scene}.items():
         settings = dict(width=size, height=size, bounces=0, needs=st.needs(s))
         draw = lambda s, k=settings: st.render(s, **k)
         loss = jax.jit(jax.grad(lambda s, draw=draw: jnp.mean((draw(s) - 0.3) ** 2)))
