@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ._types import Plane
+from .halfplane import HalfPlane, positive, with_area
 from .phases import keep
 from .varying import Varying
 from .vec import Vec, cross, dot, safe_sqrt, unit
@@ -21,28 +22,21 @@ _DIGITS = 256
 
 
 class Region(eqx.Module):
-    """A part of a pixel's box, and in which direction it lies from its edge."""
+    """A part of a pixel's box, and the half-plane that stands for it where edges cross."""
 
     part: Plane  #: its area, 0..1
-    right: Plane  #: a unit vector in the picture, 0 where there is no edge
-    down: Plane
+    edge: HalfPlane  #: of the same area, on the same side
 
 
 def half_plane_region(f: Varying[Plane]) -> Region:
     """Where f > 0; see `half_plane`."""
-    return _region(half_plane(f.value, f.dx, f.dy), f.dx, f.dy)
+    return Region(half_plane(f.value, f.dx, f.dy), positive(f))
 
 
 def disc_region(q: Varying[Vec], axis: Vec, radius: Plane) -> Region:
     """Where |q| < radius; see `disc`."""
-    area = disc(q.value, q.dx, q.dy, axis, radius)
-    return _region(area, -dot(q.value, q.dx), -dot(q.value, q.dy))
-
-
-def _region(area: Plane, right: Plane, down: Plane) -> Region:
-    length = safe_sqrt(right * right + down * down)
-    per_length = 1 / jnp.where(length > 0, length, 1)
-    return Region(area, right * per_length, down * per_length)
+    part = disc(q.value, q.dx, q.dy, axis, radius)
+    return Region(part, with_area(part, -dot(q.value, q.dx), -dot(q.value, q.dy)))
 
 
 def half_plane(f: Plane, fx: Plane, fy: Plane) -> Plane:
@@ -109,24 +103,6 @@ def disc(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: Plane) -> Plane:
     slope = lambda x, y: -(cx * x + cy * y) * per_length
     straight_edge = half_plane(1 - length, slope(xx, xy), slope(yx, yy))
     return jnp.where(thin, straight_edge, round_edge)
-
-
-def share(front: Region, back: Region) -> Plane:
-    """How much of what one region leaves of a pixel another one, behind it, takes.
-
-    Half-planes whose edges run at a right angle are independent: the answer is the area behind. If
-    the edges are parallel, the smaller region lies within the larger (the rim of a sphere just
-    behind another's), or, if they face one another, they overlap only where there is no room.
-    Between these it is taken to be linear in the cosine.
-    """
-    area, agreement = back.part, front.right * back.right + front.down * back.down
-    left = 1 - front.part
-    some = left > 0
-    per_left = 1 / jnp.where(some, left, 1)
-    within = jnp.maximum(area - front.part, 0) * per_left
-    apart = jnp.minimum(area * per_left, 1)
-    taken = area + jnp.maximum(agreement, 0) * (within - area)
-    return jnp.where(some, taken + jnp.maximum(-agreement, 0) * (apart - area), area)
 
 
 def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:

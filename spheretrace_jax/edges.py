@@ -17,12 +17,13 @@ from .intersect import perpendicular, ray_plane
 from .options import Options
 from .phases import fetch, materialise, over
 from .scene import Camera
+from .shading import ends_abruptly
 from .vec import Vec, cross, dot, norm, safe_sqrt, vec
 from .visibility import near_one, row
 from .world import Hit, Surface, World, surface_at
 
 # In pixels: half the diagonal, and a little, as shading near a rim is averaged too.
-_REACH = 1.0
+_REACH = 0.75
 
 # Facing, N.V, at which a pixel's footprint on a surface is no longer stretched further.
 _LEAST_FACING = 1e-3
@@ -196,7 +197,5 @@ def _edge_of_light(
     if needs.highlights:
         curved = norm(to_light) * _curvature(world, hit) / scale + 1
         ends = jnp.abs(cosine) < width * curved
-        if options.highlight == "phong":  # (R.V)^n is 0 there unless lit from behind
-            ends = ends & (dot(to_light, ray.direction) > 0)
-        edge = edge | ends
+        edge = edge | ends & ends_abruptly(options.highlight, to_light, ray.direction)
     return edge

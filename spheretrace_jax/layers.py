@@ -1,10 +1,10 @@
 """Pixels with edges in them: layers from front to back, each counted by the area it covers.
 
-A layer is an object that covers a part of the pixel's box. Its colour is that of the mean surface
-of that part; shadows cover a part of it likewise. Areas of different edges are multiplied, as if
-independent: exact where one edge runs through a pixel, a few pixels per picture are off where two
-cross. Edges are covered at the first hit and as they are seen in the first reflection or behind
-the first bubble; what is seen after a second one is point-sampled.
+What is seen of a layer is what lies inside its own outline and outside those in front of it, and
+what is lit of that lies outside of shadows: convex polygons with exact areas (`halfplane.py`). Its
+colour is that of the mean surface of the part inside its outline. Edges are covered at the first
+hit and as they are seen in the first reflection or behind the first bubble; what is seen after a
+second one is point-sampled.
 """
 
 import dataclasses
@@ -13,35 +13,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
 
 from ._types import Index, Mask, Plane
 from .appearance import background, local_color
 from .camera import Ray
-from .coverage import Region, disc_region, half_plane, half_plane_region, share
-from .intersect import perpendicular
-from .needs import Needs
+from .coverage import half_plane
+from .halfplane import HalfPlane, common_area, everything, untouched
 from .options import Options
+from .outlines import crossing, outline_of
 from .paths import Path, next_path, radiance
+from .peel import MOST_LAYERS, peel
 from .penumbra import unoccluded_part
-from .phases import fetch, keep, over
+from .phases import fetch, keep
 from .scene import Scene
-from .shading import HIGHLIGHTS, lambert, power, toward_light
+from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
-from .vec import Vec, dot, norm, safe_sqrt, unit, where, zeros
-from .visibility import row
+from .vec import Vec, unit, where, zeros
 from .world import Hit, Material, Surface, World, surface_at
 
-#: Layers of one pixel; the last one is taken to cover all that is left of it.
-MOST_LAYERS = 8
-
-
-class Layer(eqx.Module):
-    """What shows in a pixel, the discrete half."""
-
-    hit: Hit
-    t: Plane  #: how deep it lies
-    behind: Hit | None  #: the layer behind it, where surfaces may cut one another
+#: Outlines in front of a layer that are cut out of it: those next before it.
+FRONTS = 3
 
 
 def layered(
@@ -57,164 +48,45 @@ def layered(
     **Arguments:** `beam`: the ray through the pixel's centre and how it varies. `alive`: which
     pixels there are; others are 0. `leaving`: the hit that the rays start from, None for the eye.
     """
-    needs, black = options.needs, zeros(alive.shape, scene.dtype)
-    layers, shown = _peel(world, beam, needs, alive, leaving)
+    needs, one = options.needs, jnp.ones(alive.shape, scene.dtype)
+    layers, shown = peel(world, beam, needs, alive, leaving)
+    last = jnp.arange(len(shown)) == MOST_LAYERS - 1
 
-    def layer(layer: Layer, shown: Mask) -> tuple[Region, Vec]:
-        def see() -> tuple[Region, Vec]:
-            outline, reach = keep(covered(world, beam, layer, needs))
-            color = layer_color(scene, world, beam, layer.hit, reach, options, shown, leaving)
-            part = jnp.where(shown, outline.part, 0)
-            return Region(part, outline.right, outline.down), where(shown, color, black)
+    @jax.checkpoint
+    def add(state: tuple, x: tuple) -> tuple:
+        layer, shown, last = x
+        only = lambda part: jnp.where(shown, part, 0)
 
-        nothing = Region(black.x, black.x, black.x), black
-        return lax.cond(jnp.any(shown), see, lambda: nothing)
+        # left: what of the pixel no layer has yet; given: what the layer before, where they cut one
+        # another, left to this one; fronts: where the layers before it are not
+        def see(color: Vec, left: Plane, given: Plane, fronts: tuple) -> tuple:
+            outline = keep(outline_of(world, beam, layer.hit, needs))
+            own, reach, next_ = outline.region, outline.reach, jnp.zeros_like(left)
+            visible, behind = (own.edge, *fronts), ~own.edge
+            part = jnp.where(untouched(fronts), own.part, common_area(*visible)) + given
+            if layer.behind is not None:
+                cut = keep(crossing(world, beam, layer.hit, reach, layer.behind, needs))
+                next_ = common_area(*visible, cut.region.edge, ~cut.ahead)
+                part = part - next_
+                visible = (*visible, cut.ahead)
+                behind = where(next_ > 0, ~cut.ahead, behind)
+            part = only(jnp.where(last, left, jnp.clip(part, 0, left)))
+            seen = layer_color(
+                scene, world, beam, layer.hit, reach, visible, options, shown, leaving
+            )
+            color = color + where(shown, seen * part, zeros(part.shape, part.dtype))
+            behind = where(shown, behind, everything(part))
+            return color, left - part, only(next_), (behind, *fronts[:-1])
 
-    outlines, colors = lax.map(lambda x: jax.checkpoint(layer)(*x), (layers, shown))
-    front, back = (jax.tree.map(lambda x, s=s: x[s], outlines) for s in (slice(-1), slice(1, None)))
-    parts = jnp.concatenate([outlines.part[:1], share(front, back)])
-    if len(shown) == MOST_LAYERS:
-        parts = parts.at[-1].set(jnp.where(shown[-1], 1, parts[-1]))
-    # what passes all layers in front, and in the end all there are
-    passed = jnp.cumprod(1 - parts, axis=0)
-    weight = parts * jnp.concatenate([jnp.ones_like(passed[:1]), passed[:-1]])
-    color = jax.tree.map(lambda c: jnp.sum(c * weight, axis=0), colors)
+        stay = lambda *state: state
+        return lax.cond(jnp.any(shown), see, stay, *state), None
+
+    start = zeros(alive.shape, scene.dtype), one, 0 * one, (everything(one),) * FRONTS
+    (color, left, _, _), _ = lax.scan(add, start, (layers, shown, last))
     if not needs.background:
         return color
-    seen = where(alive, background(scene, beam.value.direction), black)
-    return color + seen * passed[-1]
-
-
-def _peel(
-    world: World, beam: Varying[Ray], needs: Needs, alive: Mask, leaving: Hit | None
-) -> tuple[Layer, Mask]:
-    """The layers from front to back, stacked, and which pixels have them; without derivatives."""
-    world, beam = jax.lax.stop_gradient((world, beam))
-    none = Hit(jnp.full(alive.shape, -1, world.id_type), jnp.full(alive.shape, False))
-    start = Layer(
-        none, jnp.zeros(alive.shape, world.window.dtype), none if needs.crossings else None
-    )
-
-    def further(state: tuple[Layer, Mask], number: Int[Array, ""]) -> tuple:
-        def next_() -> tuple[Layer, Mask, Mask]:
-            layer = keep(next_layer(world, beam, needs, state[0], leaving))
-            some = state[1] & (layer.hit.id >= 0)
-            outline, _ = covered(world, beam, layer, needs)
-            return layer, some, some & (outline.part < 1)
-
-        def stop() -> tuple[Layer, Mask, Mask]:
-            return state[0], state[1], state[1]
-
-        layer, some, more = lax.cond(jnp.any(state[1]), next_, stop)
-        return (layer, more), (layer, some)
-
-    most = min(MOST_LAYERS, world.spheres + world.planes + 1)
-    return lax.scan(further, (start, alive), jnp.arange(most, dtype=jnp.int32))[1]
-
-
-def next_layer(
-    world: World, beam: Varying[Ray], needs: Needs, last: Layer, leaving: Hit | None
-) -> Layer:
-    """The nearest object behind the last layer that covers any part of the pixel."""
-    shape = last.t.shape
-
-    def enter(best: tuple, i, t: Plane, covers: Mask, inside: Mask) -> tuple:
-        """Keeps the nearest two."""
-        after = (t > last.t) | (t == last.t) & (i > last.hit.id)
-        covers = covers & after & (t > 0)
-        (t1, i1, in1), (t2, i2, in2) = best
-        nearest, second = covers & (t < t1), covers & (t < t2)
-        pick = lambda mask, new, old: tuple(
-            jnp.where(mask, a, b) for a, b in zip(new, old, strict=True)
-        )
-        new = (t, i, inside)
-        moved = pick(nearest, (t1, i1, in1), pick(second, new, (t2, i2, in2)))
-        return pick(nearest, new, (t1, i1, in1)), moved
-
-    def sphere(i, best: tuple) -> tuple:
-        ball = row(world.balls, i)
-        foot = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center))
-        along, q = foot.value
-        reach = (norm(foot.dx[1]) + norm(foot.dy[1])) / 2
-        square = ball.radius * ball.radius - dot(q, q)
-        half_chord = safe_sqrt(square)
-        near, far = along - half_chord, along + half_chord
-        covers = norm(q) < ball.radius + reach
-        own = jnp.full(shape, False) if leaving is None else leaving.id == i
-        if not needs.inside:
-            return enter(best, i, near, covers & ~own, jnp.full(shape, False))
-        inside = (near <= 0) & (square > 0)
-        if leaving is not None:
-            covers, inside = covers & (~own | leaving.inside), inside | own
-        return enter(best, i, jnp.where(inside, far, near), covers, inside)
-
-    def plane(i, best: tuple) -> tuple:
-        flat = row(world.flats, i)
-        slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
-        away = dot(flat.point - beam.value.origin, flat.normal)
-        side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-        reach = (jnp.abs(slope.dx) + jnp.abs(slope.dy)) / 2
-        toward = side * slope.value
-        t = jnp.abs(away) / jnp.maximum(toward, jnp.where(reach > 0, 0.1 * reach, 1))
-        covers = (toward > -reach) & (away != 0)
-        number = i + world.spheres
-        if leaving is not None:
-            covers = covers & (leaving.id != number)
-        return enter(best, number, t, covers, jnp.full(shape, False))
-
-    dtype = world.id_type
-    none = (
-        jnp.full(shape, jnp.inf, beam.value.direction.x.dtype),
-        jnp.full(shape, -1, jnp.int32),
-        jnp.full(shape, False),
-    )
-    best = over(world.spheres, sphere, (none, none), unroll=0)
-    if needs.planes:
-        best = over(world.planes, plane, best, unroll=0)
-    (t, number, inside), (_, second, second_inside) = best
-    behind = Hit(second.astype(dtype), second_inside) if needs.crossings else None
-    return Layer(Hit(number.astype(dtype), inside), t, behind)
-
-
-def covered(world: World, beam: Varying[Ray], layer: Layer, needs: Needs) -> tuple[Region, Plane]:
-    """How a layer fills the pixel, and how far its edge function varies (`surface_at`)."""
-    outline, reach = _outline(world, beam, layer.hit, needs)
-    if layer.behind is None:
-        return outline, reach
-    other, other_reach = _outline(world, beam, layer.behind, needs)
-
-    def ahead(ray: Ray) -> Plane:
-        depth = lambda hit, reach: dot(
-            surface_at(world, ray, hit, needs, reach).point - ray.origin, ray.direction
-        )
-        return depth(layer.behind, other_reach) - depth(layer.hit, reach)
-
-    f = beam.map(ahead)
-    hidden = other.part * (1 - half_plane(f.value, f.dx, f.dy))
-    shows = jnp.where(layer.behind.id >= 0, 1 - hidden, 1)
-    return Region(outline.part * shows, outline.right, outline.down), reach
-
-
-def _outline(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> tuple[Region, Plane]:
-    """What of a pixel is inside an object's silhouette; all of it, if there is none."""
-    ball = fetch(world.balls, hit.id)
-    is_ball = (hit.id >= 0) & (hit.id < world.spheres)
-    q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1])
-    radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    inside = disc_region(q, beam.value.direction, radius)
-    part = jnp.where(is_ball & ~hit.inside, inside.part, 1)
-    outline = Region(part, inside.right, inside.down)
-    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
-    if needs.planes:
-        flat = fetch(world.flats, hit.id - world.spheres)
-        slope = beam.map(lambda ray: dot(ray.direction, flat.normal))
-        away = dot(flat.point - beam.value.origin, flat.normal)
-        side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-        level = half_plane_region(jax.tree.map(lambda s: s * side, slope))
-        level_reach = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
-        pick = lambda a, b: jnp.where(hit.id >= world.spheres, a, b)
-        outline, reach = jax.tree.map(pick, (level, level_reach), (outline, reach))
-    return outline, reach
+    seen = background(scene, beam.value.direction)
+    return color + where(alive, seen * left, zeros(alive.shape, scene.dtype))
 
 
 def layer_color(
@@ -223,17 +95,20 @@ def layer_color(
     beam: Varying[Ray],
     hit: Hit,
     reach: Plane,
+    visible: tuple[HalfPlane, ...],
     options: Options,
     alive: Mask,
     leaving: Hit | None,
 ) -> Vec:
-    """The mean colour of the part of a pixel that a layer covers."""
+    """The mean colour of the part of a pixel in which a layer is visible."""
     needs, ray = options.needs, beam.value
     mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
-    surface = beam.map(mean_surface)
+    surface = mean_surface(ray)
     material = fetch(world.materials, hit.id)
-    terms = lambda light: _terms(world, ray, hit, surface, material, light, options)
-    color = local_color(scene, world, hit, surface.value, material, needs, terms)
+    terms = lambda light: _terms(
+        world, beam, reach, hit, surface, material, light, visible, options
+    )
+    color = local_color(scene, world, hit, surface, material, needs, terms)
     if not options.bounces:
         return color
     later = dataclasses.replace(options, bounces=options.bounces - 1)
@@ -246,7 +121,7 @@ def layer_color(
             mirrored = Ray(path.ray.origin, unit(path.ray.direction))
             return eqx.tree_at(lambda p: p.ray, path, mirrored)
 
-        path = onward(ray, surface.value)
+        path = onward(ray, surface)
         if leaving is None:
             further = beam.map(lambda ray: onward(ray, mean_surface(ray)).ray)
             seen = layered(scene, world, further, later, path.alive, path.hit)
@@ -263,27 +138,36 @@ def layer_color(
 
 def _terms(
     world: World,
-    ray: Ray,
+    beam: Varying[Ray],
+    reach: Plane,
     hit: Hit,
-    surface: Varying[Surface],
+    surface: Surface,
     material: Material,
     light: Vec,
+    visible: tuple[HalfPlane, ...],
     options: Options,
 ) -> tuple[Plane, Plane]:
-    """N.L and the highlight of one light, each over the part of the pixel where the light reaches.
+    """N.L and the highlight of one light, each over the part of what is visible that it reaches.
 
     The highlight ends abruptly where N.L = 0, which is an edge too.
     """
     needs = options.needs
-    to_light = toward_light(surface.value, light)
-    cosine = surface.map(lambda s: lambert(s, toward_light(s, light)))
-    part = (hit.id >= 0).astype(cosine.value.dtype)
+    to_light = toward_light(surface, light)
+    cosine, lit = lambert(surface, to_light), hit.id >= 0
+    part = lit.astype(cosine.dtype)
     if needs.shadows:
-        point = surface.map(lambda s: s.point)
-        part = part * unoccluded_part(world, point, hit, light, needs)
-    diffuse = jnp.maximum(cosine.value, 0) * part
+        part = part * unoccluded_part(world, beam, reach, visible, hit, light, needs)
+    diffuse = jnp.maximum(cosine, 0) * part
     if not needs.highlights:
         return diffuse, jnp.zeros_like(diffuse)
-    towards_eye = HIGHLIGHTS[options.highlight](surface.value, to_light, ray.direction)
-    shine = power(towards_eye, material.exponent)
-    return diffuse, shine * part * half_plane(cosine.value, cosine.dx, cosine.dy)
+
+    def front() -> Plane:
+        surface = lambda ray: surface_at(world, ray, hit, needs, reach)
+        f = beam.map(lambda ray: lambert(surface(ray), toward_light(surface(ray), light)))
+        return half_plane(f.value, f.dx, f.dy)
+
+    direction = beam.value.direction
+    abrupt = lit & ends_abruptly(options.highlight, to_light, direction)
+    part = part * lax.cond(jnp.any(abrupt), front, lambda: (cosine > 0).astype(part.dtype))
+    shine = power(HIGHLIGHTS[options.highlight](surface, to_light, direction), material.exponent)
+    return diffuse, shine * part

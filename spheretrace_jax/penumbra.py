@@ -5,31 +5,54 @@ The lecture's lights are points, so shadows are sharp; only a pixel can be partl
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from ._types import Ids, Mask, Plane
-from .coverage import Region, disc_region, half_plane_region, share
+from .camera import Ray
+from .coverage import disc_region
+from .halfplane import HalfPlane, common_area, everything, middle, positive
 from .intersect import perpendicular
 from .needs import Needs
 from .phases import fetch, over
 from .varying import Varying
-from .vec import Vec, dot, norm, unit
+from .vec import Vec, dot, norm, safe_sqrt, unit, where
 from .visibility import row
-from .world import Hit, World
+from .world import Hit, World, mean_chord, surface_at
 
 #: Shadow edges of one light in one pixel and layer; of further ones the centre decides.
 EDGES = 2
 
 
-def unoccluded_part(world: World, point: Varying[Vec], hit: Hit, light: Vec, needs: Needs) -> Plane:
-    """The part of a pixel, seen on a surface, that a light reaches: 0 in shadow, 1 in light.
+def unoccluded_part(
+    world: World,
+    beam: Varying[Ray],
+    reach: Plane,
+    visible: tuple[HalfPlane, ...],
+    hit: Hit,
+    light: Vec,
+    needs: Needs,
+) -> Plane:
+    """The part of what is visible of an object in a pixel that a light reaches, 0..1.
 
     Says the same as `visibility.unoccluded` where no edge runs through the pixel.
 
-    **Arguments:** `point`: the surface's point, with `hit` the objects it lies on.
+    **Arguments:** `hit`: the objects that are lit. `reach`: as for `world.surface_at`. `visible`:
+    the half-planes of the pixel in all of which the object shows.
     """
-    blocked, edges = _occluders(world, point, hit, light, needs)
-    one, other = (_shadow(world, point, number, light, needs) for number in edges)
-    return jnp.where(blocked, 0, (1 - one.part) * (1 - share(one, other)))
+    place = middle(*visible[:2])
+    blocked, edges = _occluders(world, beam, reach, place, hit, light, needs)
+
+    def cut() -> Plane:
+        dark = lambda number: _shadow(world, beam, reach, place, hit, number, light, needs)
+        nothing = lambda _: ~everything(reach)
+        shadows = lax.map(lambda i: lax.cond(jnp.any(i >= 0), dark, nothing, i), jnp.stack(edges))
+        bright = [jax.tree.map(lambda x, k=k: x[k], ~shadows) for k in range(EDGES)]
+        area = common_area(*visible)
+        some = area > jnp.finfo(area.dtype).eps
+        return jnp.where(some, common_area(*visible, *bright) / jnp.where(some, area, 1), 1)
+
+    part = lax.cond(jnp.any(edges[0] >= 0), cut, lambda: jnp.ones_like(reach))
+    return jnp.where(blocked, 0, part)
 
 
 def _from_light(point: Vec, light: Vec, center: Vec) -> tuple[Plane, Vec]:
@@ -37,31 +60,104 @@ def _from_light(point: Vec, light: Vec, center: Vec) -> tuple[Plane, Vec]:
     return perpendicular(point, unit(light - point), center)
 
 
-def _shadow(world: World, point: Varying[Vec], number: Ids, light: Vec, needs: Needs) -> Region:
-    """The part of the pixel in the shadow of one object, 0 where there is none."""
+def _shadow(
+    world: World,
+    beam: Varying[Ray],
+    reach: Plane,
+    place: tuple[Plane, Plane],
+    hit: Hit,
+    number: Ids,
+    light: Vec,
+    needs: Needs,
+) -> HalfPlane:
+    """The half-plane of the pixel in the shadow of one object, nothing where there is none."""
     ball = fetch(world.balls, number)
-    q = point.map(lambda p: _from_light(p, light, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    dark = disc_region(q, unit(light - point.value), radius)
-    if needs.planes:
-        flat = fetch(world.flats, number - world.spheres)
-        side = jnp.where(dot(light - flat.point, flat.normal) > 0, -1, 1).astype(radius.dtype)
-        f = point.map(lambda p: dot(p - flat.point, flat.normal) * side)
-        is_plane = number >= world.spheres
-        pick = lambda a, b: jnp.where(is_plane, a, b)
-        dark = jax.tree.map(pick, half_plane_region(f), dark)
-    return Region(jnp.where(number >= 0, dark.part, 0), dark.right, dark.down)
+    flat = fetch(world.flats, number - world.spheres)
+    is_plane = number >= world.spheres
+    side = jnp.where(dot(light - flat.point, flat.normal) > 0, -1, 1).astype(radius.dtype)
+
+    def edge_at(x: Plane, y: Plane) -> tuple[Varying[Vec], Varying[Plane], Vec]:
+        """What bounds the shadow, seen from a place in the pixel; and the way to the light."""
+        there = beam.at(x, y).map(lambda ray: surface_at(world, _straight(ray), hit, needs).point)
+        q = there.map(lambda p: _from_light(p, light, ball.center)[1])
+        f = q.map(lambda q: radius - norm(q))
+        if needs.planes:
+            below = there.map(lambda p: dot(p - flat.point, flat.normal) * side)
+            f = where(is_plane, below, f)
+        return q.at(-x, -y), f.at(-x, -y), unit(light - there.value)
+
+    q, f, _ = lax.stop_gradient(edge_at(*place))
+    small = ~is_plane & (radius < 2 * jnp.maximum(norm(q.dx), norm(q.dy)))
+    x, y = lax.stop_gradient(_where_zero(world, beam, reach, place, hit, f))
+    q, f, axis = edge_at(*where(small, place, (x, y)))
+    dark = where(small, disc_region(q, axis, radius).edge, positive(f))
+    return where(number >= 0, dark, ~everything(radius))
+
+
+def _straight(ray: Ray) -> Ray:
+    """The ray with a direction of unit length."""
+    return Ray(ray.origin, unit(ray.direction))
+
+
+def _where_zero(
+    world: World,
+    beam: Varying[Ray],
+    reach: Plane,
+    place: tuple[Plane, Plane],
+    hit: Hit,
+    f: Varying[Plane],
+) -> tuple[Plane, Plane]:
+    """A place in the pixel, from a given one on, where a function of the surface seen is zero.
+
+    Near a rim a surface runs away from the viewer, as the root of the distance to the rim, and
+    every line on it comes to the rim as a parabola does. So half the chord of the ray inside the
+    sphere is the coordinate in which the function is taken to be linear.
+
+    **Arguments:** `f`: the function, as its derivatives at `place` say, seen from the centre.
+    """
+    x, y = place
+    ball = fetch(world.balls, hit.id)
+    across = lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1]
+    least = 0.3 * mean_chord(across(beam.value), ball.radius, reach)[0]
+    least = jnp.where(least > 0, least, 1)
+    q = beam.at(x, y).map(lambda ray: across(_straight(ray)))
+    square = ball.radius * ball.radius - dot(q.value, q.value)
+    chord = safe_sqrt(jnp.maximum(square, least * least))
+
+    slope = safe_sqrt(f.dx * f.dx + f.dy * f.dy)
+    per_slope = 1 / jnp.where(slope > 0, slope, 1)
+    right, down = f.dx * per_slope, f.dy * per_slope
+    step = -f.at(x, y).value * per_slope
+    # along this line the square of the chord, and the chord itself, grow by so much
+    grows = -2 * (dot(q.value, q.dx) * right + dot(q.value, q.dy) * down)
+    on_ball = (hit.id < world.spheres) & (grows != 0)
+    new = chord + step * grows / (2 * chord)
+    straight = step * (new + chord) / (2 * chord)
+    rim = (least * least - chord * chord) / jnp.where(on_ball, grows, 1)
+    step = jnp.where(on_ball, jnp.where(new > least, straight, rim), step)
+    step = jnp.clip(step, -0.5, 0.5)
+    return x + step * right, y + step * down
 
 
 def _occluders(
-    world: World, point: Varying[Vec], hit: Hit, light: Vec, needs: Needs
+    world: World,
+    beam: Varying[Ray],
+    reach: Plane,
+    place: tuple[Plane, Plane],
+    hit: Hit,
+    light: Vec,
+    needs: Needs,
 ) -> tuple[Mask, tuple[Ids, ...]]:
     """Whether something darkens all of a pixel, and the objects whose shadows' edges cross it."""
-    world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
+    world, beam, light = jax.lax.stop_gradient((world, beam, light))
+    point = beam.at(*place).map(lambda ray: surface_at(world, _straight(ray), hit, needs).point)
     here = point.value
     to_light = light - here
     shape, far = to_light.x.shape, norm(to_light)
-    footprint = (norm(point.dx) + norm(point.dy)) / 2
+    across, down = (0.5 + jnp.abs(m) for m in place)
+    extent = lambda dx, dy: norm(dx) * across + norm(dy) * down
+    footprint = extent(point.dx, point.dy)
 
     def add(state: tuple, i, full: Mask, touched: Mask, center: Mask) -> tuple:
         """**Arguments:** whether object i darkens all of the pixel, any of it, and its centre."""
@@ -78,7 +174,7 @@ def _occluders(
         ball = row(world.balls, i)
         foot = point.map(lambda p: _from_light(p, light, ball.center))
         along, q = foot.value
-        reach, inner = (norm(foot.dx[1]) + norm(foot.dy[1])) / 2, ball.radius - norm(q)
+        reach, inner = extent(foot.dx[1], foot.dy[1]), ball.radius - norm(q)
         from_light, to_center = light - ball.center, ball.center - here
         square = ball.radius * ball.radius
         light_inside = dot(from_light, from_light) < square
@@ -101,7 +197,7 @@ def _occluders(
         above = dot(light - flat.point, flat.normal)
         f = point.map(lambda p: dot(p - flat.point, flat.normal))
         inner = jnp.where(above > 0, -f.value, f.value)
-        reach = (jnp.abs(f.dx) + jnp.abs(f.dy)) / 2
+        reach = jnp.abs(f.dx) * across + jnp.abs(f.dy) * down
         other = (hit.id != i + world.spheres) & (above != 0)
         full, touched = (inner >= reach) & other, (inner > -reach) & other
         return add(state, i + world.spheres, full & (inner > 0), touched, inner > 0)

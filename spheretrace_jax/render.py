@@ -1,6 +1,7 @@
 """From a scene to a picture: strips of pixels, samples per pixel, edges."""
 
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -15,14 +16,14 @@ from .layers import layered
 from .needs import Needs
 from .options import Options, options
 from .paths import radiance
-from .phases import STRIP_PIXELS
+from .phases import STRIP_PIXELS, nth_marked
 from .scene import Scene
 from .varying import pixel_beams
 from .vec import Vec, where, zeros
 from .world import World, build_world
 
 # Pixels with edges are composed this many at a time, as few as keeps the overhead small.
-EDGE_PIXELS = 1 << 10
+EDGE_PIXELS, GROUP = 1 << 10, 8
 
 
 def render(
@@ -64,48 +65,44 @@ def render(
 
 @eqx.filter_jit
 def _render(scene: Scene, options: Options) -> Picture:
-    world = build_world(scene)
-    width, height, samples = options.width, options.height, options.samples
-    strips = -(-width * height // STRIP_PIXELS)
-    rows = -(-height // strips)
-    strips = -(-height // rows)
-    dtype = scene.dtype
-    places = (jnp.arange(samples, dtype=dtype) + 0.5) / samples
+    world, k = build_world(scene), options.samples
+    places = (jnp.arange(k, dtype=scene.dtype) + 0.5) / k
+    if k == 1:
+        return _sample(scene, world, options, places[0], places[0])
 
-    def strip(first_row: Int[Array, ""]) -> Float[Array, "rows width 3"]:
-        top = first_row.astype(dtype)
+    def add(total: Picture, place: tuple) -> tuple[Picture, None]:
+        return total + _sample(scene, world, options, *place), None
 
-        def sample(total: Array, place: tuple) -> tuple[Array, None]:
-            left, above = place[0], top + place[1]
-            return total + _sample(scene, world, options, rows, left, above), None
-
-        if samples == 1:
-            return _sample(scene, world, options, rows, places[0], top + places[0])
-        grid = [g.reshape(-1) for g in jnp.meshgrid(places, places)]
-        start = jnp.zeros((rows, width, 3), dtype)
-        return lax.scan(sample, start, tuple(grid))[0] * (1 / samples**2)
-
-    if strips == 1:
-        return strip(jnp.zeros((), jnp.int32))
-    picture = lax.map(strip, jnp.arange(strips, dtype=jnp.int32) * rows)
-    return picture.reshape(strips * rows, width, 3)[:height]
+    grid = [g.reshape(-1) for g in jnp.meshgrid(places, places)]
+    start = jnp.zeros((options.height, options.width, 3), scene.dtype)
+    return lax.scan(add, start, tuple(grid))[0] * (1 / k**2)
 
 
-def _sample(
+def _sample(scene: Scene, world: World, options: Options, left: Array, top: Array) -> Picture:
+    """One sample of each pixel. **Arguments:** `left`, `top`: where the first one is, in pixels."""
+    strips = -(-options.width * options.height // STRIP_PIXELS)
+    rows = -(-options.height // strips)
+    first_rows = jnp.arange(0, options.height, rows, dtype=jnp.int32)
+    strip = lambda row: _strip(scene, world, options, rows, left, top + row.astype(top.dtype))
+    picture = lax.map(strip, first_rows)
+    return picture.reshape(-1, options.width, 3)[: options.height]
+
+
+def _strip(
     scene: Scene, world: World, options: Options, rows: int, left: Array, top: Array
 ) -> Float[Array, "rows width 3"]:
-    """One sample of each pixel of a strip. **Arguments:** `left`, `top`: where the first one is."""
-    dtype, size = scene.dtype, (options.width, options.height)
+    """One sample of each pixel of a strip, as in `_sample`."""
+    dtype, width, height = scene.dtype, options.width, options.height
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @jax.checkpoint
     def trace(scene: Scene, world: World) -> tuple[Float[Array, "rows width 3"], Mask]:
-        columns = left + jnp.arange(options.width, dtype=dtype)
-        lines = top + jnp.arange(rows, dtype=dtype)
-        ray = pixel_rays(scene.camera, columns[None, :], lines[:, None], size)
+        columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
+        columns, lines = (left + columns)[None, :], (top + lines)[:, None]
+        ray = pixel_rays(scene.camera, columns, lines, (width, height))
         cone = None
         if options.antialias:
-            side = scene.camera.window / (options.height * options.samples)
+            side = scene.camera.window / (height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
         color, edge = radiance(scene, world, ray, options, cone=cone)
         return _rgb(where(edge, zeros(edge.shape, dtype), color)), edge
@@ -115,9 +112,9 @@ def _sample(
         return color
 
     def compose(pixels: Int[Array, " n"], alive: Mask) -> Float[Array, "n 3"]:
-        column = left + (pixels % options.width).astype(dtype)
-        line = top + (pixels // options.width).astype(dtype)
-        beam = pixel_beams(scene.camera, column, line, size, 1 / options.samples)
+        column = left + (pixels % width).astype(dtype)
+        line = top + (pixels // width).astype(dtype)
+        beam = pixel_beams(scene.camera, column, line, (width, height), 1 / options.samples)
         return _rgb(layered(scene, world, beam, options, alive))
 
     return _replace(color, edge, compose)
@@ -139,21 +136,30 @@ def _replace(
     size = marked.size
     n = min(EDGE_PIXELS, size)
     chunks = -(-size // n)
-    flat = marked.reshape(-1)
-    rank = jnp.cumsum(flat, dtype=jnp.int32)
-    place = jnp.where(flat, rank - 1, chunks * n)
-    numbers = jnp.arange(size, dtype=jnp.int32)
-    pixels = size + jnp.arange(chunks * n, dtype=jnp.int32)  # those beyond the picture are dropped
-    pixels = pixels.at[place].set(numbers, mode="drop", unique_indices=True)
+    groups = -(-chunks // GROUP)
+    total, place = nth_marked(marked.reshape(-1))
+    numbers = jnp.arange(groups * GROUP * n, dtype=jnp.int32).reshape(groups, GROUP, n)
 
     # the reverse pass composes again rather than keep what only few of the chunks have
     @jax.checkpoint
-    def some(pixels: Int[Array, " n"]) -> Float[Array, "n 3"]:
-        alive = pixels < size
-        black = lambda *_: jnp.zeros((n, 3), picture.dtype)
-        return lax.cond(alive[0], compose, black, jnp.where(alive, pixels, 0), alive)
+    def some(number: Int[Array, " n"]) -> tuple[Int[Array, " n"], Float[Array, "n 3"]]:
+        alive = number < total
+        pixels = place(number)
+        return jnp.where(alive, pixels, size), compose(jnp.where(alive, pixels, 0), alive)
 
-    colors = lax.map(some, pixels.reshape(chunks, n)).reshape(-1, 3)
-    # a scatter, whose transpose is a gather, and not the gather by rank, whose transpose scatters
-    added = picture.reshape(-1, 3).at[pixels].add(colors, mode="drop", unique_indices=True)
-    return added.reshape(picture.shape)
+    def if_any(work: Callable, numbers: Int[Array, "..."]) -> tuple[Array, Array]:
+        black = jnp.zeros((*numbers.shape, 3), picture.dtype)
+        none = lambda numbers: (jnp.full_like(numbers, size), black)
+        return lax.cond(numbers.reshape(-1)[0] < total, work, none, numbers)
+
+    # in groups, as to find out of each chunk that it is empty takes longer than to fill the others
+    group = partial(lax.map, partial(if_any, some))
+    pixels, colors = lax.map(partial(if_any, group), numbers)
+
+    def add(used: int) -> Float[Array, "size 3"]:
+        at, what = pixels[:used].reshape(-1), colors[:used].reshape(-1, 3)
+        return picture.reshape(-1, 3).at[at].add(what, mode="drop", unique_indices=True)
+
+    # a scatter takes 10 ns also for what it drops, so that it is given few groups, if few are used
+    few = total <= GROUP * n
+    return lax.cond(few, partial(add, 1), partial(add, groups)).reshape(picture.shape)

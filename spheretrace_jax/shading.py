@@ -39,6 +39,15 @@ def blinn(surface: Surface, to_light: Vec, direction: Vec) -> Plane:
 HIGHLIGHTS = {"phong": phong, "blinn": blinn}
 
 
+def ends_abruptly(highlight: Highlight, to_light: Vec, direction: Vec) -> Mask:
+    """Whether a highlight has not faded out where N.L = 0 ends it: Phong's if lit from behind.
+
+    **Arguments:** as for `phong`.
+    """
+    behind = dot(to_light, direction) > 0
+    return behind if highlight == "phong" else jnp.full(behind.shape, True)
+
+
 def power(cosine: Plane, exponent: Plane) -> Plane:
     """max(cosine, 0)^exponent, with 0^0 = 1; its derivative is 0 where cosine <= 0."""
     some = cosine > 0

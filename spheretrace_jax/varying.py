@@ -37,6 +37,13 @@ class Varying(eqx.Module, Generic[T]):
         # the three share most of their work, which would be done again for each of their users
         return keep(Varying(value, dx, dy))
 
+    def at(self, x: Plane, y: Plane) -> "Varying[T]":
+        """The same seen from elsewhere in the pixel: x pixels to the right and y down."""
+        wide = lambda v: jnp.broadcast_to(v, jnp.broadcast_shapes(v.shape, x.shape))
+        value, dx, dy = (jax.tree.map(wide, v) for v in (self.value, self.dx, self.dy))
+        move = lambda v, dx, dy: v + x * dx + y * dy
+        return Varying(jax.tree.map(move, value, dx, dy), dx, dy)
+
 
 def pixel_beams(
     camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int], side: float

@@ -5,14 +5,17 @@ vectorised loop; readers want vectors. `Vec` gives both. Colours are `Vec`s too:
 green, blue.
 """
 
-from typing import Union
+from typing import TypeVar, Union
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from ._types import Mask, Plane
+
+T = TypeVar("T")
 
 
 class Vec(eqx.Module):
@@ -80,8 +83,9 @@ def safe_sqrt(square: Plane) -> Plane:
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
 
 
-def where(mask: Mask, a: Vec, b: Vec) -> Vec:
-    return Vec(jnp.where(mask, a.x, b.x), jnp.where(mask, a.y, b.y), jnp.where(mask, a.z, b.z))
+def where(mask: Mask, a: T, b: T) -> T:
+    """Per pixel `a` where the mask holds, else `b`: `Vec`s, or any other pytrees of planes."""
+    return jax.tree.map(lambda x, y: jnp.where(mask, x, y), a, b)
 
 
 def reflect(direction: Vec, normal: Vec) -> Vec:

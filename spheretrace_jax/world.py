@@ -125,7 +125,11 @@ def _append(table: T, row: T) -> T:
 
 
 def surface_at(
-    world: World, ray: Ray, hit: Hit, needs: Needs, reach: Plane | None = None
+    world: World,
+    ray: Ray,
+    hit: Hit,
+    needs: Needs,
+    reach: Plane | None = None,
 ) -> Surface:
     """The point and normal at which rays meet the objects they are known to hit.
 
@@ -146,7 +150,7 @@ def surface_at(
     if reach is None:
         half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
     else:
-        half_chord, q = _mean_chord(q, ball.radius, reach)
+        half_chord, q = mean_chord(q, ball.radius, reach)
     per_radius = 1 / jnp.where(ball.radius > 0, ball.radius, 1)
     facing = half_chord * per_radius
     if needs.inside:
@@ -165,7 +169,7 @@ def surface_at(
     )
 
 
-def _mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
+def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
     """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere.
 
     Half the chord is the root of R^2 - q.q, which is spread evenly over a disc: from a^2 to b^2,

@@ -3,7 +3,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spheretrace_jax.phases import UNROLL, fetch, materialise, materialise_pair, over, smallest_int
+from spheretrace_jax.phases import (
+    UNROLL,
+    fetch,
+    materialise,
+    materialise_pair,
+    nth_marked,
+    over,
+    smallest_int,
+)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 9, UNROLL, UNROLL + 1, 200])
@@ -50,3 +58,12 @@ def test_a_materialised_phase_has_its_value_and_derivative():
 def test_numbers_of_objects_fit_their_type(count, dtype):
     assert smallest_int(count) == dtype
     assert jnp.asarray(count, smallest_int(count)) == count
+
+
+@pytest.mark.parametrize(("n", "density"), [(1, 1.0), (31, 0.5), (32, 0.5), (10007, 0.03), (70, 0)])
+def test_the_places_of_the_marked_are_those_that_numpy_finds(n, density):
+    marked = np.random.default_rng(n).uniform(size=n) < density
+    total, place = nth_marked(jnp.asarray(marked))
+    assert int(total) == marked.sum()
+    found = place(jnp.arange(marked.sum(), dtype=jnp.int32))
+    np.testing.assert_array_equal(found, np.nonzero(marked)[0])

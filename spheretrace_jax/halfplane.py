@@ -1,0 +1,173 @@
+"""Half-planes in a pixel's box, and the exact area of what several of them have in common.
+
+A pixel's box is the unit square around its centre, x to the right and y down, from -1/2 to 1/2.
+Seen from near enough every edge is straight. What is seen of an object is then what lies inside its
+own outline and outside those in front of it; what is lit, outside the shadows: half-planes all of
+them, so that what they have in common is a convex polygon, whose area is exact.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ._types import Mask, Plane
+from .varying import Varying
+from .vec import safe_sqrt
+
+# The box's half diagonal is 0.71: a line this far away does not cut it.
+_FAR = 1.0
+
+
+class HalfPlane(eqx.Module):
+    """Where `right x + down y + offset > 0`, with (right, down) a unit vector, inwards."""
+
+    right: Plane
+    down: Plane
+    offset: Plane  #: how far the box's centre is inside, in pixels
+
+    def __invert__(self) -> "HalfPlane":
+        """The other side."""
+        return HalfPlane(-self.right, -self.down, -self.offset)
+
+
+def everything(like: Plane) -> HalfPlane:
+    """A half-plane that holds all of the box."""
+    return HalfPlane(jnp.ones_like(like), jnp.zeros_like(like), jnp.full_like(like, _FAR))
+
+
+def positive(f: Varying[Plane]) -> HalfPlane:
+    """Where f > 0, taken to be linear: everything or nothing where it does not vary."""
+    slope = safe_sqrt(f.dx * f.dx + f.dy * f.dy)
+    passes = jnp.abs(f.value) < _FAR * slope
+    per_slope = 1 / jnp.where(passes, slope, 1)
+    return HalfPlane(
+        jnp.where(passes, f.dx * per_slope, 1),
+        jnp.where(passes, f.dy * per_slope, 0),
+        jnp.where(passes, f.value * per_slope, _beyond(f.value > 0, f.value)),
+    )
+
+
+def with_area(part: Plane, x: Plane, y: Plane) -> HalfPlane:
+    """The half-plane that holds a given part of the box and lies in a given direction.
+
+    **Arguments:** `part`: the area, 0..1. `x`, `y`: the direction, of any length.
+    """
+    length = safe_sqrt(x * x + y * y)
+    some = length > 0
+    per_length = 1 / jnp.where(some, length, 1)
+    right, down = jnp.where(some, x * per_length, 1), jnp.where(some, y * per_length, 0)
+    a, b = jnp.maximum(jnp.abs(right), jnp.abs(down)), jnp.minimum(jnp.abs(right), jnp.abs(down))
+    less = jnp.minimum(part, 1 - part)
+    cuts_corner = 2 * a * less < b
+    corner = safe_sqrt(jnp.where(cuts_corner, 2 * a * b * less, 0)) - (a + b) / 2
+    middle = a * (less - 0.5)
+    offset = jnp.where(cuts_corner, corner, middle)
+    offset = jnp.where(part > 0.5, -offset, offset)
+    cuts = (part > 0) & (part < 1)
+    return HalfPlane(
+        jnp.where(cuts, right, 1),
+        jnp.where(cuts, down, 0),
+        jnp.where(cuts, offset, _beyond(part > 0.5, part)),
+    )
+
+
+def untouched(half_planes: tuple[HalfPlane, ...]) -> Mask:
+    """Whether all of the box lies in all of them, as in `everything`."""
+    return functools.reduce(jnp.minimum, (h.offset for h in half_planes)) >= _FAR
+
+
+def _beyond(inside: Mask, like: Plane) -> Plane:
+    """The offset of a line that does not cut the box, all of which is inside or outside."""
+    return jnp.where(inside, _FAR, -_FAR).astype(like.dtype)
+
+
+def common_area(*half_planes: HalfPlane) -> Plane:
+    """The part of the box that lies in all of some half-planes, 0..1.
+
+    By Green's theorem half the sum, over the lines that bound it, of the length of the line's piece
+    times its distance from the centre; each piece is what is left of the line between all others
+    (Liang, Barsky, "A New Concept and Method for Line Clipping", ACM TOG 3, 1984).
+    """
+    return _area(*_stacked(half_planes))
+
+
+def middle(*half_planes: HalfPlane) -> tuple[Plane, Plane]:
+    """The centroid of what half-planes have in common, without derivatives; the box's, if nothing.
+
+    The triangle between the centre and a piece of a line has its own two thirds of the way out.
+    """
+    right, down, offset = jax.lax.stop_gradient(_stacked(half_planes))
+    length, x, y = _pieces(right, down, offset)
+    sides = jnp.full_like(length[-4:], 0.5)
+    area = length * jnp.concatenate([offset, sides]) / 2
+    total = area.sum(0)
+    some = total > jnp.finfo(total.dtype).eps
+    per_total = jnp.where(some, 1 / jnp.where(some, total, 1), 0) * (2 / 3)
+    return jnp.sum(area * x, axis=0) * per_total, jnp.sum(area * y, axis=0) * per_total
+
+
+def _stacked(half_planes: tuple[HalfPlane, ...]) -> tuple[Array, Array, Array]:
+    names = ("right", "down", "offset")
+    right, down, offset = (
+        jnp.stack(jnp.broadcast_arrays(*(getattr(h, name) for h in half_planes))) for name in names
+    )
+    return right, down, offset
+
+
+@jax.custom_jvp
+def _area(
+    right: Float[Array, "lines *pixels"],
+    down: Float[Array, "lines *pixels"],
+    offset: Float[Array, "lines *pixels"],
+) -> Plane:
+    return _area_of(offset, _pieces(right, down, offset)[0])
+
+
+def _area_of(offset: Array, length: Array) -> Plane:
+    sides = length[-4:].sum(0) * 0.5
+    return jnp.clip(((offset * length[:-4]).sum(0) + sides) / 2, 0, 1)
+
+
+@_area.defjvp
+def _area_jvp(primals, tangents):
+    # Where a line moves outwards, the area grows by the length of its piece: no quotient of small
+    # numbers, as two nearly parallel lines make them, is ever differentiated.
+    length, x, y = _pieces(*primals)
+    right, down, offset = tangents
+    grows = (length[:-4] * (offset + right * x[:-4] + down * y[:-4])).sum(0)
+    return _area_of(primals[2], length), grows
+
+
+def _pieces(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Array]:
+    """Of each line, the box's four sides last, the length and middle of the piece that bounds."""
+    like = right[:1]
+    sides = lambda *values: [jnp.full_like(like, value) for value in values]
+    right = jnp.concatenate([right, *sides(1, -1, 0, 0)])
+    down = jnp.concatenate([down, *sides(0, 0, 1, -1)])
+    offset = jnp.concatenate([offset, *sides(0.5, 0.5, 0.5, 0.5)])
+    count = right.shape[0]
+    number = jnp.arange(count).reshape(count, *(1,) * (right.ndim - 1))
+    # a line is followed from its foot, the point nearest the centre, at a right angle to its normal
+    start, end = jnp.full_like(right, -2), jnp.full_like(right, 2)
+    for j in range(count):
+        rj, dj, oj = (jnp.broadcast_to(v[j], right.shape) for v in (right, down, offset))
+        along = right * rj + down * dj
+        # twice, with the lines exchanged: fused multiply-adds round so that it would not be 0 for
+        # equal lines, nor change its sign as the lines change their places
+        turn = ((right * dj - down * rj) - (rj * down - dj * right)) / 2
+        # how far the foot is inside half-plane j, offset_j - offset_i along, written so that it
+        # is 0 for equal lines, of which just one is to count
+        bend = offset * turn * turn / (1 + jnp.abs(along))
+        inside = oj + jnp.where(along > 0, bend - offset, offset - bend)
+        at = -inside / jnp.where(turn == 0, 1, turn)
+        other = number != j
+        start = jnp.where(other & (turn > 0), jnp.maximum(start, at), start)
+        end = jnp.where(other & (turn < 0), jnp.minimum(end, at), end)
+        equal = (inside == 0) & (along > 0) & (number > j)
+        end = jnp.where(other & (turn == 0) & ((inside < 0) | equal), start, end)
+    length = jnp.maximum(end - start, 0)
+    middle = (start + end) / 2
+    return length, -offset * right - middle * down, -offset * down + middle * right
