@@ -253,7 +253,7 @@ def test_an_interrupt_outside_of_a_fit_writes_nothing(spheretrace, folder, monke
 # --- mistakes -------------------------------------------------------------------------------------
 
 FREE = (
-    "color, ka, kd, ks, kgr, kt, exponent, light_color, light_position, "
+    "color, ka, kd, ks, exponent, kgr, kt, light_color, light_position, "
     "center, radius, theta, phi, mu, distance"
 )
 
