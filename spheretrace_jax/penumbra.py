@@ -88,10 +88,12 @@ def _shadow(
         return q.at(-x, -y), f.at(-x, -y), unit(light - there.value)
 
     q, f, _ = lax.stop_gradient(edge_at(*place))
-    small = ~is_plane & (radius < 2 * jnp.maximum(norm(q.dx), norm(q.dy)))
-    x, y = lax.stop_gradient(_where_zero(world, beam, reach, place, hit, f))
-    q, f, axis = edge_at(*where(small, place, (x, y)))
-    dark = where(small, disc_region(q, axis, radius).edge, positive(f))
+    small = radius < 2 * jnp.maximum(norm(q.dx), norm(q.dy))
+    (x, y), near_rim = lax.stop_gradient(_where_zero(world, beam, reach, place, hit, f))
+    x, y = where(small | (number < 0), place, (x, y))
+    q, f, axis = edge_at(x, y)
+    straight = is_plane | near_rim & ~small
+    dark = where(straight, positive(f), disc_region(q, axis, radius).edge)
     return where(number >= 0, dark, ~everything(radius))
 
 
@@ -107,7 +109,7 @@ def _where_zero(
     place: tuple[Plane, Plane],
     hit: Hit,
     f: Varying[Plane],
-) -> tuple[Plane, Plane]:
+) -> tuple[tuple[Plane, Plane], Mask]:
     """A place in the pixel, from a given one on, where a function of the surface seen is zero.
 
     Near a rim a surface runs away from the viewer, as the root of the distance to the rim, and
@@ -115,6 +117,9 @@ def _where_zero(
     sphere is the coordinate in which the function is taken to be linear.
 
     **Arguments:** `f`: the function, as its derivatives at `place` say, seen from the centre.
+
+    **Returns:** the place, right and down of the centre; and whether the rim is so near that the
+    function is far from linear in the pixel.
     """
     x, y = place
     ball = fetch(world.balls, hit.id)
@@ -130,14 +135,17 @@ def _where_zero(
     right, down = f.dx * per_slope, f.dy * per_slope
     step = -f.at(x, y).value * per_slope
     # along this line the square of the chord, and the chord itself, grow by so much
-    grows = -2 * (dot(q.value, q.dx) * right + dot(q.value, q.dy) * down)
+    to_right, to_down = dot(q.value, q.dx), dot(q.value, q.dy)
+    grows = -2 * (to_right * right + to_down * down)
     on_ball = (hit.id < world.spheres) & (grows != 0)
+    steepest = 2 * safe_sqrt(to_right * to_right + to_down * to_down)
+    near_rim = (hit.id < world.spheres) & (chord * chord < 2 * steepest)
     new = chord + step * grows / (2 * chord)
     straight = step * (new + chord) / (2 * chord)
     rim = (least * least - chord * chord) / jnp.where(on_ball, grows, 1)
     step = jnp.where(on_ball, jnp.where(new > least, straight, rim), step)
     step = jnp.clip(step, -0.5, 0.5)
-    return x + step * right, y + step * down
+    return (x + step * right, y + step * down), near_rim
 
 
 def _occluders(
