@@ -36,7 +36,8 @@ def half_plane_region(f: Varying[Plane]) -> Region:
 def disc_region(q: Varying[Vec], axis: Vec, radius: Plane) -> Region:
     """Where |q| < radius; see `disc`."""
     part = disc(q.value, q.dx, q.dy, axis, radius)
-    return Region(part, with_area(part, -dot(q.value, q.dx), -dot(q.value, q.dy)))
+    inwards = q.value * (-1 / (radius * radius))
+    return Region(part, with_area(part, dot(inwards, q.dx), dot(inwards, q.dy)))
 
 
 def half_plane(f: Plane, fx: Plane, fy: Plane) -> Plane:
@@ -80,9 +81,11 @@ def disc(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: Plane) -> Plane:
     """
     per_radius = 1 / radius
     q, qx, qy = q * per_radius, qx * per_radius, qy * per_radius
-    # coordinates in the plane across the ray, the first along qx, of which a part is along the ray
-    first = unit(qx - axis * dot(qx, axis))
-    second = cross(axis, first)
+    # the box in the plane across the ray; which axes are taken there changes no area, so that they
+    # need no derivatives, which overflow where qx is tiny
+    qx, qy = (v - axis * dot(v, axis) for v in (qx, qy))
+    first = jax.lax.stop_gradient(unit(qx))
+    second = cross(jax.lax.stop_gradient(axis), first)
     to_plane = lambda v: (dot(v, first), dot(v, second))
     (cx, cy), (xx, xy), (yx, yy) = keep((to_plane(q), to_plane(qx), to_plane(qy)))
     area = xx * yy - xy * yx

@@ -53,11 +53,12 @@ def positive(f: Varying[Plane]) -> HalfPlane:
 def with_area(part: Plane, x: Plane, y: Plane) -> HalfPlane:
     """The half-plane that holds a given part of the box and lies in a given direction.
 
-    **Arguments:** `part`: the area, 0..1. `x`, `y`: the direction, of any length.
+    **Arguments:** `part`: the area, 0..1. `x`, `y`: the direction, of a length that is not tiny.
     """
-    length = safe_sqrt(x * x + y * y)
-    some = length > 0
-    per_length = 1 / jnp.where(some, length, 1)
+    square = x * x + y * y
+    # of anything shorter the inverse square, which its derivative needs, is infinite
+    some = square > float(jnp.finfo(square.dtype).tiny) ** 0.5
+    per_length = jnp.where(some, 1 / jnp.sqrt(jnp.where(some, square, 1)), 0)
     right, down = jnp.where(some, x * per_length, 1), jnp.where(some, y * per_length, 0)
     a, b = jnp.maximum(jnp.abs(right), jnp.abs(down)), jnp.minimum(jnp.abs(right), jnp.abs(down))
     less = jnp.minimum(part, 1 - part)
@@ -158,10 +159,11 @@ def _pieces(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Arr
         # twice, with the lines exchanged: fused multiply-adds round so that it would not be 0 for
         # equal lines, nor change its sign as the lines change their places
         turn = ((right * dj - down * rj) - (rj * down - dj * right)) / 2
-        # how far the foot is inside half-plane j, offset_j - offset_i along, written so that it
-        # is 0 for equal lines, of which just one is to count
-        bend = offset * turn * turn / (1 + jnp.abs(along))
-        inside = oj + jnp.where(along > 0, bend - offset, offset - bend)
+        # how far the foot is inside half-plane j, from the difference of the two normals, so that
+        # two nearly parallel lines cross at one point, and that of equal ones is 0
+        sign = jnp.where(along > 0, 1, -1).astype(offset.dtype)
+        apart = (rj - sign * right) * right + (dj - sign * down) * down
+        inside = oj - sign * offset - apart * offset
         at = -inside / jnp.where(turn == 0, 1, turn)
         other = number != j
         start = jnp.where(other & (turn > 0), jnp.maximum(start, at), start)

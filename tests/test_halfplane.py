@@ -108,6 +108,14 @@ def test_a_half_plane_has_the_area_it_is_made_of(dtype, part, angle, length):
     np.testing.assert_allclose(common_area(made), part, atol=8 * np.finfo(dtype).eps)
 
 
+def test_edges_almost_along_the_box_keep_their_digits():
+    rng = np.random.default_rng(4)
+    angle = 10 ** rng.uniform(-7, -1, 1000) + np.pi / 2 * rng.integers(0, 4, 1000)
+    part = 10 ** rng.uniform(-6, 0, 1000)
+    single = [jnp.asarray(v, jnp.float32) for v in (part, np.cos(angle), np.sin(angle))]
+    np.testing.assert_allclose(common_area(halfplane.with_area(*single)), part, atol=5e-7)
+
+
 def test_the_area_it_is_made_of_is_all_that_its_area_depends_on():
     rng = np.random.default_rng(2)
     part, angle = rng.uniform(0.001, 0.999, 100), rng.uniform(0, 2 * np.pi, 100)
