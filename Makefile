@@ -19,7 +19,7 @@ test-slow: $(READY)
 bench: $(READY)
 	$(BIN)/python tests/bench/picture.py
 
-# pictures, derivatives and cost of covered edges; about ten minutes
+# pictures, derivatives and cost of covered edges; about twenty minutes
 bench-edges: $(READY)
 	$(BIN)/python tests/bench/edges.py
 

@@ -1,7 +1,7 @@
 """Errors of antialiased pictures and of their derivatives, and what edges cost.
 
-`python tests/bench/edges.py` takes some ten minutes, `--quick` a few. The truth are point samples:
-many rays per pixel and, for derivatives, their central differences by small steps.
+`python tests/bench/edges.py` takes some twenty minutes, `--quick` a few. The truth are point
+samples: many rays per pixel and, for derivatives, their central differences by small steps.
 """
 
 import statistics
@@ -110,14 +110,15 @@ def derivative_errors(size: int, samples: tuple[int, ...]) -> None:
     print(f"""
 derivatives: three spheres, {size} x {size}, float64; errors in %, of the sum against a smooth
 weight and of the picture. The truth are differences of rays: for sums 24 x 24 rays, with a step of
-1/5 pixel, for pictures 48 x 48 rays and 1/20 pixel. +-: of the truth, by doubling the step and by
-32 x 32 rays. The weight is the truth, blurred; kept: the |sum| over the sum of absolute values.""")
+1/5 pixel; for pictures 96 x 96 rays and 1/80 pixel, since some edges move much farther than others.
++-: of the truth, by doubling the step and, for pictures, by 80 x 80 rays. The weight is the truth,
+blurred; kept: the |sum| over the sum of absolute values.""")
     print(f"{'':9}" + "".join(f"{head:>17}" for head in ("+-", *forward)) + "   kept")
     for name, (_, _, step) in PARAMETERS.items():
         step = step * 256 / size
         change = lambda h, k, name=name: difference(scene, name, h, samples=k, **settings)
         wider, wide = change(8 * step, 24), change(4 * step, 24)
-        coarse, truth = change(step, 32), change(step, 48)
+        coarse, truth = change(step / 2, 80), change(step / 4, 96)
         weight = blurred(wider, size / 24)
         total = np.vdot(weight, wide)
         found = [(wider, coarse), *((g, g) for g in (by(name) for by in forward.values()))]
