@@ -87,11 +87,14 @@ def _shadow(
             f = where(is_plane, below, f)
         return q.at(-x, -y), f.at(-x, -y), unit(light - there.value)
 
-    q, f, _ = lax.stop_gradient(edge_at(*place))
+    here = edge_at(*place)
+    q, f, _ = lax.stop_gradient(here)
     small = radius < 2 * jnp.maximum(norm(q.dx), norm(q.dy))
     (x, y), near_rim = lax.stop_gradient(_where_zero(world, beam, reach, place, hit, f))
-    x, y = where(small | (number < 0), place, (x, y))
-    q, f, axis = edge_at(x, y)
+    there = edge_at(x, y)
+    # seen from where the edge runs, the place is on the side that it is on, but for wild mirrors
+    agree = there[1].at(*place).value * f.at(*place).value > 0
+    q, f, axis = where(agree & ~small & (number >= 0), there, here)
     straight = is_plane | near_rim & ~small
     dark = where(straight, positive(f), disc_region(q, axis, radius).edge)
     return where(number >= 0, dark, ~everything(radius))
