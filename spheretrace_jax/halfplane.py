@@ -11,9 +11,11 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
-from ._types import Mask, Plane
+from ._types import Index, Mask, Plane
+from .phases import keep, over
 from .varying import Varying
 from .vec import safe_sqrt
 
@@ -149,12 +151,14 @@ def _pieces(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Arr
     right = jnp.concatenate([right, *sides(1, -1, 0, 0)])
     down = jnp.concatenate([down, *sides(0, 0, 1, -1)])
     offset = jnp.concatenate([offset, *sides(0.5, 0.5, 0.5, 0.5)])
+    # known once, not computed again in every pass of the loop
+    right, down, offset = keep((right, down, offset))
     count = right.shape[0]
-    number = jnp.arange(count).reshape(count, *(1,) * (right.ndim - 1))
-    # a line is followed from its foot, the point nearest the centre, at a right angle to its normal
-    start, end = jnp.full_like(right, -2), jnp.full_like(right, 2)
-    for j in range(count):
-        rj, dj, oj = (jnp.broadcast_to(v[j], right.shape) for v in (right, down, offset))
+    number = jnp.arange(count, dtype=jnp.int32).reshape(count, *(1,) * (right.ndim - 1))
+
+    def clip(j: Index, piece: tuple[Array, Array]) -> tuple[Array, Array]:
+        start, end = piece
+        rj, dj, oj = (lax.dynamic_index_in_dim(v, j) for v in (right, down, offset))
         along = right * rj + down * dj
         # twice, with the lines exchanged: fused multiply-adds round so that it would not be 0 for
         # equal lines, nor change its sign as the lines change their places
@@ -169,7 +173,11 @@ def _pieces(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Arr
         start = jnp.where(other & (turn > 0), jnp.maximum(start, at), start)
         end = jnp.where(other & (turn < 0), jnp.minimum(end, at), end)
         equal = (inside == 0) & (along > 0) & (number > j)
-        end = jnp.where(other & (turn == 0) & ((inside < 0) | equal), start, end)
+        return start, jnp.where(other & (turn == 0) & ((inside < 0) | equal), start, end)
+
+    # a line is followed from its foot, the point nearest the centre, at a right angle to its normal
+    whole = jnp.full_like(right, -2), jnp.full_like(right, 2)
+    start, end = over(count, clip, whole, unroll=0)
     length = jnp.maximum(end - start, 0)
     middle = (start + end) / 2
     return length, -offset * right - middle * down, -offset * down + middle * right

@@ -19,6 +19,7 @@ from .appearance import background, local_color
 from .camera import Ray
 from .coverage import half_plane
 from .halfplane import HalfPlane, common_area, everything, untouched
+from .intersect import perpendicular
 from .options import Options
 from .outlines import crossing, outline_of
 from .paths import Path, next_path, radiance
@@ -28,8 +29,8 @@ from .phases import fetch, keep
 from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
-from .vec import Vec, unit, where, zeros
-from .world import Hit, Material, Surface, World, surface_at
+from .vec import Vec, dot, unit, where, zeros
+from .world import Hit, Material, Surface, World, chord_range, mean_root, surface_at
 
 #: Outlines in front of a layer that are cut out of it: those next before it.
 FRONTS = 3
@@ -151,13 +152,13 @@ def _terms(
 
     The highlight ends abruptly where N.L = 0, which is an edge too.
     """
-    needs = options.needs
+    needs, ray = options.needs, beam.value
     to_light = toward_light(surface, light)
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
     if needs.shadows:
         part = part * unoccluded_part(world, beam, reach, visible, hit, light, needs)
-    diffuse = jnp.maximum(cosine, 0) * part
+    diffuse = _mean_lambert(world, ray, hit, reach, cosine, to_light) * part
     if not needs.highlights:
         return diffuse, jnp.zeros_like(diffuse)
 
@@ -166,8 +167,34 @@ def _terms(
         f = beam.map(lambda ray: lambert(surface(ray), toward_light(surface(ray), light)))
         return half_plane(f.value, f.dx, f.dy)
 
-    direction = beam.value.direction
-    abrupt = lit & ends_abruptly(options.highlight, to_light, direction)
+    abrupt = lit & ends_abruptly(options.highlight, to_light, ray.direction)
     part = part * lax.cond(jnp.any(abrupt), front, lambda: (cosine > 0).astype(part.dtype))
-    shine = power(HIGHLIGHTS[options.highlight](surface, to_light, direction), material.exponent)
+    shine = power(
+        HIGHLIGHTS[options.highlight](surface, to_light, ray.direction), material.exponent
+    )
     return diffuse, shine * part
+
+
+def _mean_lambert(
+    world: World, ray: Ray, hit: Hit, reach: Plane, cosine: Plane, to_light: Vec
+) -> Plane:
+    """The mean of max(N.L, 0), where N.L = 0 may run along the rim of a sphere.
+
+    There N.L depends on half the chord above all, and linearly: N = (-q - h D)/R.
+
+    **Arguments:** `reach`: as for `world.surface_at`. `cosine`: the mean of N.L.
+    """
+    ball = fetch(world.balls, hit.id)
+    _, q = perpendicular(ray.origin, ray.direction, ball.center)
+    radius = jnp.where(ball.radius > 0, ball.radius, 1)
+    low, high = chord_range(q, radius, reach)
+    slope = -dot(ray.direction, to_light) / radius
+    h = mean_root(low, high) - cosine / jnp.where(slope == 0, 1, slope)
+    # the integrand vanishes there, so that moving it changes nothing
+    zero = lax.stop_gradient(jnp.clip(h, low, high))
+    start, end = jnp.where(slope > 0, zero, low), jnp.where(slope > 0, high, zero)
+    whole = high * high - low * low
+    mixed = (hit.id < world.spheres) & (low < zero) & (zero < high) & (slope != 0)
+    lit = (end * end - start * start) / jnp.where(mixed, whole, 1)
+    mean = cosine + slope * (mean_root(start, end) - mean_root(low, high))
+    return jnp.where(mixed, lit * mean, jnp.maximum(cosine, 0))

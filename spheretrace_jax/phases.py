@@ -163,3 +163,46 @@ def nth_marked(
         return at * 32 + bit
 
     return ends[-1], place
+
+
+def fill(
+    values: T,
+    marked: Bool[Array, " n"],
+    work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
+    size: int,
+    group: int,
+) -> T:
+    """The values with those of the marked places replaced by `work`, only for as many as there are.
+
+    **Arguments:** `values`: a pytree of arrays of shape `(n,)`. `work`: from places, and which of
+    them count, to their values. `size`: how many places at a time. `group`: that many times it is
+    found out at once that there are no places left.
+    """
+    n = marked.size
+    groups = -(-n // (group * size))
+    total, place = nth_marked(marked)
+    numbers = jnp.arange(groups * group * size, dtype=jnp.int32).reshape(groups, group, size)
+
+    def some(number: Int[Array, " size"]) -> tuple[Int[Array, " size"], T]:
+        counts = number < total
+        places = jnp.where(counts, place(number), 0)
+        return jnp.where(counts, places, n), work(places, counts)
+
+    def none(number: Int[Array, " size"]) -> tuple[Int[Array, " size"], T]:
+        return jnp.full_like(number, n), jax.tree.map(lambda v: jnp.zeros(size, v.dtype), values)
+
+    def put(values: T, number: Int[Array, "group size"]) -> T:
+        places, new = lax.map(lambda k: lax.cond(k[0] < total, some, none, k), number)
+        add = lambda v, x: v.at[places.reshape(-1)].add(
+            x.reshape(-1), mode="drop", unique_indices=True
+        )
+        return jax.tree.map(add, values, new)
+
+    def put_any(values: T, number: Int[Array, "group size"]) -> tuple[T, None]:
+        skip = lambda values, _: values
+        return lax.cond(number[0, 0] < total, put, skip, values, number), None
+
+    # then added, not set, so that the reverse pass hands on the values' part untouched: to clear it
+    # at every time, it copies all of them (for a gradient 260 ms, not 180)
+    values = jax.tree.map(lambda v: jnp.where(marked, 0, v), values)
+    return put(values, numbers[0]) if groups == 1 else lax.scan(put_any, values, numbers)[0]

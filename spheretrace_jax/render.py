@@ -1,29 +1,26 @@
 """From a scene to a picture: strips of pixels, samples per pixel, edges."""
 
-from collections.abc import Callable
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
-from ._types import Highlight, Mask, Picture
+from ._types import Highlight, Mask, Picture, Plane
 from .camera import pixel_rays
 from .edges import pixel_cones
 from .layers import layered
 from .needs import Needs
 from .options import Options, options
 from .paths import radiance
-from .phases import STRIP_PIXELS, nth_marked
+from .phases import STRIP_PIXELS, fill
 from .scene import Scene
 from .varying import pixel_beams
-from .vec import Vec, where, zeros
+from .vec import Vec, zeros
 from .world import World, build_world
 
 # Pixels with edges are composed this many at a time, as few as keeps the overhead small.
-EDGE_PIXELS, GROUP = 1 << 10, 8
+EDGE_PIXELS, GROUP = 1 << 11, 4
 
 
 def render(
@@ -68,98 +65,76 @@ def _render(scene: Scene, options: Options) -> Picture:
     world, k = build_world(scene), options.samples
     places = (jnp.arange(k, dtype=scene.dtype) + 0.5) / k
     if k == 1:
-        return _sample(scene, world, options, places[0], places[0])
+        color, edge = _sample(scene, world, options, places[0], places[0])
+    else:
 
-    def add(total: Picture, place: tuple) -> tuple[Picture, None]:
-        return total + _sample(scene, world, options, *place), None
+        def add(total: tuple[Vec, Mask], place: tuple) -> tuple[tuple[Vec, Mask], None]:
+            color, edge = _sample(scene, world, options, *place)
+            return (total[0] + color, total[1] | edge), None
 
-    grid = [g.reshape(-1) for g in jnp.meshgrid(places, places)]
-    start = jnp.zeros((options.height, options.width, 3), scene.dtype)
-    return lax.scan(add, start, tuple(grid))[0] * (1 / k**2)
-
-
-def _sample(scene: Scene, world: World, options: Options, left: Array, top: Array) -> Picture:
-    """One sample of each pixel. **Arguments:** `left`, `top`: where the first one is, in pixels."""
-    strips = -(-options.width * options.height // STRIP_PIXELS)
-    rows = -(-options.height // strips)
-    first_rows = jnp.arange(0, options.height, rows, dtype=jnp.int32)
-    strip = lambda row: _strip(scene, world, options, rows, left, top + row.astype(top.dtype))
-    picture = lax.map(strip, first_rows)
-    return picture.reshape(-1, options.width, 3)[: options.height]
+        grid = tuple(g.reshape(-1) for g in jnp.meshgrid(places, places))
+        size = (options.height, options.width)
+        start = zeros(size, scene.dtype), jnp.full(size, False)
+        (color, edge), _ = lax.scan(add, start, grid)
+        color = color * (1 / k**2)
+    if options.antialias:
+        color = jax.tree.map(lambda f: f + _bend(f, edge) * (1 / (24 * k**2)), color)
+    return jnp.stack([color.x, color.y, color.z], axis=-1)
 
 
-def _strip(
-    scene: Scene, world: World, options: Options, rows: int, left: Array, top: Array
-) -> Float[Array, "rows width 3"]:
-    """One sample of each pixel of a strip, as in `_sample`."""
+def _bend(f: Plane, edge: Mask) -> Plane:
+    """f_xx + f_yy, from differences of neighbours; 0 where an edge may be in between.
+
+    The mean of a smooth f over a pixel is f + (f_xx + f_yy)/24: without that what is bright and
+    small, as highlights are, is too bright at its centre.
+    """
+    f, cut = jnp.pad(f, 1), jnp.pad(edge, 1, constant_values=True)
+    there, left, right = jnp.s_[1:-1, 1:-1], jnp.s_[1:-1, :-2], jnp.s_[1:-1, 2:]
+    above, below = jnp.s_[:-2, 1:-1], jnp.s_[2:, 1:-1]
+
+    def along(one: tuple, other: tuple) -> Plane:
+        return jnp.where(edge | cut[one] | cut[other], 0, f[one] + f[other] - 2 * f[there])
+
+    return along(left, right) + along(above, below)
+
+
+def _sample(
+    scene: Scene, world: World, options: Options, left: Array, top: Array
+) -> tuple[Vec, Mask]:
+    """One sample of each pixel, and in which pixels there may be edges.
+
+    **Arguments:** `left`, `top`: where the first one is, in pixels.
+    """
     dtype, width, height = scene.dtype, options.width, options.height
+    strips = -(-width * height // STRIP_PIXELS)
+    rows = -(-height // strips)
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @jax.checkpoint
-    def trace(scene: Scene, world: World) -> tuple[Float[Array, "rows width 3"], Mask]:
+    def trace(first_row: Int[Array, ""]) -> tuple[Vec, Mask]:
         columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
-        columns, lines = (left + columns)[None, :], (top + lines)[:, None]
-        ray = pixel_rays(scene.camera, columns, lines, (width, height))
+        lines = top + first_row.astype(dtype) + lines
+        ray = pixel_rays(scene.camera, (left + columns)[None, :], lines[:, None], (width, height))
         cone = None
         if options.antialias:
             side = scene.camera.window / (height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
-        color, edge = radiance(scene, world, ray, options, cone=cone)
-        return _rgb(where(edge, zeros(edge.shape, dtype), color)), edge
+        return radiance(scene, world, ray, options, cone=cone)
 
-    color, edge = trace(scene, world)
+    first_rows = jnp.arange(0, height, rows, dtype=jnp.int32)
+    whole = lambda x: x.reshape(-1, width)[:height]
+    color, edge = jax.tree.map(whole, lax.map(trace, first_rows))
     if not options.antialias:
-        return color
+        return color, edge
 
-    def compose(pixels: Int[Array, " n"], alive: Mask) -> Float[Array, "n 3"]:
+    # nor what few of the chunks have
+    @jax.checkpoint
+    def compose(pixels: Int[Array, " n"], alive: Mask) -> Vec:
         column = left + (pixels % width).astype(dtype)
         line = top + (pixels // width).astype(dtype)
         beam = pixel_beams(scene.camera, column, line, (width, height), 1 / options.samples)
-        return _rgb(layered(scene, world, beam, options, alive))
+        return layered(scene, world, beam, options, alive)
 
-    return _replace(color, edge, compose)
-
-
-def _rgb(color: Vec) -> Float[Array, "*pixels 3"]:
-    return jnp.stack([color.x, color.y, color.z], axis=-1)
-
-
-def _replace(
-    picture: Float[Array, "rows width 3"],
-    marked: Mask,
-    compose: Callable[[Int[Array, " n"], Mask], Float[Array, "n 3"]],
-) -> Float[Array, "rows width 3"]:
-    """Adds `compose` of the pixels that are marked, only as many at a time as there are.
-
-    **Arguments:** `compose`: from pixels' numbers, and which of them count, to their colours.
-    """
-    size = marked.size
-    n = min(EDGE_PIXELS, size)
-    chunks = -(-size // n)
-    groups = -(-chunks // GROUP)
-    total, place = nth_marked(marked.reshape(-1))
-    numbers = jnp.arange(groups * GROUP * n, dtype=jnp.int32).reshape(groups, GROUP, n)
-
-    # the reverse pass composes again rather than keep what only few of the chunks have
-    @jax.checkpoint
-    def some(number: Int[Array, " n"]) -> tuple[Int[Array, " n"], Float[Array, "n 3"]]:
-        alive = number < total
-        pixels = place(number)
-        return jnp.where(alive, pixels, size), compose(jnp.where(alive, pixels, 0), alive)
-
-    def if_any(work: Callable, numbers: Int[Array, "..."]) -> tuple[Array, Array]:
-        black = jnp.zeros((*numbers.shape, 3), picture.dtype)
-        none = lambda numbers: (jnp.full_like(numbers, size), black)
-        return lax.cond(numbers.reshape(-1)[0] < total, work, none, numbers)
-
-    # in groups, as to find out of each chunk that it is empty takes longer than to fill the others
-    group = partial(lax.map, partial(if_any, some))
-    pixels, colors = lax.map(partial(if_any, group), numbers)
-
-    def add(used: int) -> Float[Array, "size 3"]:
-        at, what = pixels[:used].reshape(-1), colors[:used].reshape(-1, 3)
-        return picture.reshape(-1, 3).at[at].add(what, mode="drop", unique_indices=True)
-
-    # a scatter takes 10 ns also for what it drops, so that it is given few groups, if few are used
-    few = total <= GROUP * n
-    return lax.cond(few, partial(add, 1), partial(add, groups)).reshape(picture.shape)
+    flat = jax.tree.map(jnp.ravel, color)
+    flat = fill(flat, edge.reshape(-1), compose, min(EDGE_PIXELS, edge.size), GROUP)
+    return jax.tree.map(lambda x: x.reshape(edge.shape), flat), edge

@@ -170,21 +170,28 @@ def surface_at(
 
 
 def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
-    """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere.
+    """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere."""
+    outer = safe_sqrt(dot(q, q) + reach * reach)
+    rim = radius / jnp.where(outer > 0, outer, 1)
+    return mean_root(*chord_range(q, radius, reach)), q * jnp.minimum(rim, 1)
 
-    Half the chord is the root of R^2 - q.q, which is spread evenly over a disc: from a^2 to b^2,
-    the mean of the root is 2/3 (a^2 + a b + b^2)/(a + b).
-    """
+
+def chord_range(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Plane]:
+    """The least and the largest half chord over |q| +- reach, as far as it is inside the sphere."""
     length, square = norm(q), radius * radius
     near, far = jnp.maximum(length - reach, 0), length + reach
     # a pixel that only its corner touches has a little of the rim
     least = 0.1 * radius * jnp.minimum(reach, radius)
-    a = safe_sqrt(square - far * far)
-    b = safe_sqrt(jnp.maximum(square - near * near, least))
-    both = jnp.where(a + b > 0, a + b, 1)
-    outer = safe_sqrt(dot(q, q) + reach * reach)
-    rim = radius / jnp.where(outer > 0, outer, 1)
-    return (a * a + a * b + b * b) / both * (2 / 3), q * jnp.minimum(rim, 1)
+    return safe_sqrt(square - far * far), safe_sqrt(jnp.maximum(square - near * near, least))
+
+
+def mean_root(low: Plane, high: Plane) -> Plane:
+    """The mean of a number whose square is spread evenly from low^2 to high^2.
+
+    So is half the chord's over a disc, the root of R^2 - q.q.
+    """
+    both = jnp.where(low + high > 0, low + high, 1)
+    return (low * low + low * high + high * high) / both * (2 / 3)
 
 
 def _on_plane(world: World, ray: Ray, hit: Hit, reach: Plane | None) -> Surface:
