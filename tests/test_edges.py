@@ -194,6 +194,30 @@ def test_the_shadow_of_a_sphere_smaller_than_a_pixel_is_as_dark_everywhere():
     np.testing.assert_allclose(dark, dark.mean(), rtol=0.02)
 
 
+# --- shading inside pixels ---
+
+
+def test_highlights_are_averaged_over_pixels():
+    scene = balls([[0, 0, 0]], 60.0, ka=0.2, ks=0.9, exponent=30.0)
+    scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.array([[100.0, 150, 400]]))
+    settings = dict(width=24, height=24, bounces=0)
+    inside = np.s_[8:16, 8:16]  # far from the silhouette
+    scene = framed(scene, 160.0)
+    truth = rays(scene, 48, **settings)[inside]
+    point, smooth = (st.render(scene.with_antialias(a), **settings)[inside] for a in (0, 1))
+    assert np.ptp(truth) > 0.5
+    assert off(smooth, truth) < off(point, truth) / 10
+
+
+def test_the_end_of_the_light_along_a_rim_is_averaged():
+    # lit from behind: a crescent a pixel wide, which the mean normal is not in
+    scene = balls([[0, 0, 0]], 60.0, ka=0.0, kd=1.0)
+    scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.array([[1e5, 0, -2e5]]))
+    scene, settings = framed(scene, 140.0), dict(width=24, height=24, bounces=0)
+    truth = rays(scene, 48, **settings)
+    assert off(st.render(scene, **settings), truth) < 0.05
+
+
 # --- surfaces that cut one another ---
 
 
