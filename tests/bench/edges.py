@@ -97,9 +97,19 @@ def picture_errors(title: str, scene: st.Scene, size: int, samples: tuple[int, .
     errors = {work: off(draw[work](), truth) for work in draw}
     for k in samples:
         cell = lambda name, k=k: f"{errors[name, k]:9.2e} {1e3 * seconds[name, k]:7.1f} ms"
-        print(f"{k:<8} {cell('coverage'):>20} {cell('points'):>20}")
-    slope = lambda n: np.polyfit(-np.log(samples), np.log([errors[n, k] for k in samples]), 1)[0]
-    print(f"{'slope':8} {slope('coverage'):>20.2f} {slope('points'):>20.2f}", flush=True)
+        print(f"{k:<8} {cell('coverage'):>20} {cell('points'):>20}", flush=True)
+
+
+def picture_order(title: str, scene: st.Scene, sizes: tuple[int, ...]) -> None:
+    print(f"\norder in the pixel's size: {title}, one sample (truth 128 x 128 rays)")
+    errors = []
+    for size in sizes:
+        settings = dict(width=size, height=size, bounces=0)
+        truth = np.asarray(st.render(scene, samples=128, **settings))
+        errors.append([off(st.render(scene.with_antialias(a), **settings), truth) for a in (1, 0)])
+        print(f"{size:<8} {errors[-1][0]:20.2e} {errors[-1][1]:20.2e}", flush=True)
+    slopes = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    print(f"{'slope':8} {slopes[0]:20.2f} {slopes[1]:20.2f}", flush=True)
 
 
 def derivative_errors(size: int, samples: tuple[int, ...]) -> None:
@@ -155,8 +165,10 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     samples = (1, 2) if quick else (1, 2, 4)
     picture_errors("three spheres", three_spheres(), 96, samples)
+    picture_order("three spheres", three_spheres(), (24, 48, 96))
     if not quick:
         picture_errors("nine spheres", nine_spheres(), 256, samples)
+        picture_order("nine spheres", nine_spheres(), (64, 128, 256))
     derivative_errors(96 if quick else 256, samples)
     cost(1024, 3 if quick else 7)
 
