@@ -7,6 +7,7 @@ import pytest
 from scenes import nine_spheres, three_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.camera import view_frame
 from spheretrace_jax.fit.parameters import length_scales, to_solver
 
 SPHERES = ("center", "radius")
@@ -133,20 +134,46 @@ def test_the_nine_spheres_come_back_from_their_antialiased_picture():
     assert sphere_error(found.scene, truth) < 1e-8
 
 
+def depth_and_other_errors(found: st.Scene, truth: st.Scene) -> tuple[float, float]:
+    """The largest error of a centre along the line of sight; across it, or of a radius.
+
+    Both are relative to the sphere's radius.
+    """
+    a, b = found.spheres, truth.spheres
+    off = (a.center - b.center) / b.radius[:, None]
+    eye = view_frame(truth.camera).eye
+    sight = b.center - np.array([eye.x, eye.y, eye.z])
+    sight = sight / np.linalg.norm(sight, axis=1)[:, None]
+    along = np.sum(off * sight, axis=1)
+    across = np.linalg.norm(off - along[:, None] * sight, axis=1)
+    return float(np.abs(along).max()), float(
+        max(across.max(), np.abs(a.radius / b.radius - 1).max())
+    )
+
+
+def supersampled(truth: st.Scene) -> np.ndarray:
+    return np.asarray(st.render(truth, width=256, height=256, samples=16, **MATTE))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("start", "free", "error", "largest"),
-    [
-        pytest.param(displaced_nine, SPHERES, sphere_error, 1e-3, id="spheres"),
-        pytest.param(turned, CAMERA, camera_error, 1e-3, id="camera"),
-    ],
-)
-def test_the_nine_spheres_come_back_from_a_supersampled_picture(start, free, error, largest):
+def test_the_nine_spheres_come_back_from_a_supersampled_picture():
     truth = nine_spheres(LIGHT)
-    target = st.render(truth, width=256, height=256, samples=16, **MATTE)
-    found = st.fit(start(truth.with_antialias(1)), target, free=free, **MATTE)
+    start = displaced_nine(truth.with_antialias(1))
+    found = st.fit(start, supersampled(truth), free=SPHERES, **MATTE)
     assert found.converged
-    assert error(found.scene, truth) < largest
+    depth, other = depth_and_other_errors(found.scene, truth)
+    assert other < 1e-3
+    # the sampling error of 16 x 16 rays alone moves the best depth by 1.8e-3 (docs/edges.md)
+    assert depth < 1e-2
+
+
+@pytest.mark.slow
+def test_the_camera_comes_back_from_a_supersampled_picture_of_the_nine_spheres():
+    truth = nine_spheres(LIGHT)
+    start = turned(truth.with_antialias(1))
+    found = st.fit(start, supersampled(truth), free=CAMERA, **MATTE)
+    assert found.converged
+    assert camera_error(found.scene, truth) < 1e-3
 
 
 @pytest.mark.slow
