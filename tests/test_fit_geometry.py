@@ -1,6 +1,7 @@
 """Centres, radii, the camera and shadows' light, found from antialiased pictures."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -139,16 +140,14 @@ def depth_and_other_errors(found: st.Scene, truth: st.Scene) -> tuple[float, flo
 
     Both are relative to the sphere's radius.
     """
-    a, b = found.spheres, truth.spheres
-    off = (a.center - b.center) / b.radius[:, None]
+    a, b = jax.tree.map(np.asarray, (found.spheres, truth.spheres))
     eye = view_frame(truth.camera).eye
     sight = b.center - np.array([eye.x, eye.y, eye.z])
-    sight = sight / np.linalg.norm(sight, axis=1)[:, None]
-    along = np.sum(off * sight, axis=1)
-    across = np.linalg.norm(off - along[:, None] * sight, axis=1)
-    return float(np.abs(along).max()), float(
-        max(across.max(), np.abs(a.radius / b.radius - 1).max())
-    )
+    sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    off = (a.center - b.center) / b.radius[:, None]
+    along = np.sum(off * sight, axis=1, keepdims=True)
+    across = np.linalg.norm(off - along * sight, axis=1)
+    return np.abs(along).max(), max(across.max(), np.abs(a.radius / b.radius - 1).max())
 
 
 def supersampled(truth: st.Scene) -> np.ndarray:
