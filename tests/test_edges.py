@@ -101,9 +101,10 @@ def everywhere(monkeypatch, scene: st.Scene, **settings) -> np.ndarray:
 
 
 def dull(scene: st.Scene) -> st.Scene:
-    """Without highlights: narrow ones differ where they are averaged, which is no edge."""
+    """Without highlights and checkers: both differ where they are averaged, which is no edge."""
     scene = eqx.tree_at(lambda s: s.spheres.ks, scene, 0 * scene.spheres.ks)
     scene = eqx.tree_at(lambda s: s.planes.ks, scene, 0 * scene.planes.ks)
+    scene = eqx.tree_at(lambda s: s.planes.checker_size, scene, 0 * scene.planes.checker_size)
     return scene.with_antialias(1)
 
 
