@@ -57,12 +57,15 @@ def unoccluded_part(
         beam_, reach_, place_, hit_ = keep(jax.tree.map(pick, (beam, reach, place, hit)))
         return ~_shadow(world, beam_, reach_, place_, hit_, number[places], light, needs)
 
-    anywhere = everything(jnp.ones_like(number, reach.dtype))
-    bright = fill(anywhere, number >= 0, outside, -(-count // GROUPS), EDGES * GROUPS)
-    bright = [jax.tree.map(lambda x, k=k: x[k * count :][:count], bright) for k in range(EDGES)]
-    area = common_area(*visible)
-    some = (edges[0] >= 0) & (area > jnp.finfo(area.dtype).eps)
-    part = jnp.where(some, common_area(*visible, *bright) / jnp.where(some, area, 1), 1)
+    def cut() -> Plane:
+        anywhere = everything(jnp.ones_like(number, reach.dtype))
+        bright = fill(anywhere, number >= 0, outside, -(-count // GROUPS), EDGES * GROUPS)
+        bright = [jax.tree.map(lambda x, k=k: x[k * count :][:count], bright) for k in range(EDGES)]
+        area = common_area(*visible)
+        some = (edges[0] >= 0) & (area > jnp.finfo(area.dtype).eps)
+        return jnp.where(some, common_area(*visible, *bright) / jnp.where(some, area, 1), 1)
+
+    part = lax.cond(jnp.any(edges[0] >= 0), cut, lambda: jnp.ones_like(reach))
     return jnp.where(blocked, 0, part)
 
 
@@ -114,7 +117,7 @@ def _shadow(
     light: Vec,
     needs: Needs,
 ) -> HalfPlane:
-    """The half-plane of the pixel in the shadow of one object, nothing where there is none."""
+    """The half-plane of the pixel in the shadow of one object."""
 
     def edge_place(world: World, beam: Varying[Ray], reach: Plane, light: Vec) -> tuple:
         """Where the edge runs, and whether to take it as straight."""
@@ -124,14 +127,13 @@ def _shadow(
         there = _bound(world, beam, zero, hit, number, light, needs)
         # seen from the edge, the place is on the side that it is on, but for wild mirrors
         agree = there.f.at(*place).value * here.f.at(*place).value > 0
-        x, y = where(agree & ~small & (number >= 0), zero, place)
+        x, y = where(agree & ~small, zero, place)
         return (x, y), (number >= world.spheres) | near_rim & ~small
 
     at, straight = keep(edge_place(*lax.stop_gradient((world, beam, reach, light))))
     edge = _bound(world, beam, at, hit, number, light, needs)
     curved = disc_region(edge.q, edge.axis, edge.radius).edge
-    dark = where(straight, positive(edge.f), curved)
-    return where(number >= 0, dark, ~everything(edge.radius))
+    return where(straight, positive(edge.f), curved)
 
 
 def _straight(ray: Ray) -> Ray:

@@ -88,13 +88,13 @@ def _bend(f: Plane, edge: Mask) -> Plane:
     The mean of a smooth f over a pixel is f + (f_xx + f_yy)/24: without that what is bright and
     small, as highlights are, is too bright at its centre.
     """
-    f, cut = jnp.pad(f, 1), jnp.pad(edge, 1, constant_values=True)
-    there, left, right = jnp.s_[1:-1, 1:-1], jnp.s_[1:-1, :-2], jnp.s_[1:-1, 2:]
-    above, below = jnp.s_[:-2, 1:-1], jnp.s_[2:, 1:-1]
+    wide, cut = jnp.pad(f, 1), jnp.pad(edge, 1, constant_values=True)
 
     def along(one: tuple, other: tuple) -> Plane:
-        return jnp.where(edge | cut[one] | cut[other], 0, f[one] + f[other] - 2 * f[there])
+        return jnp.where(edge | cut[one] | cut[other], 0, wide[one] + wide[other] - 2 * f)
 
+    left, right = jnp.s_[1:-1, :-2], jnp.s_[1:-1, 2:]
+    above, below = jnp.s_[:-2, 1:-1], jnp.s_[2:, 1:-1]
     return along(left, right) + along(above, below)
 
 

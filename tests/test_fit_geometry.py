@@ -150,17 +150,18 @@ def depth_and_other_errors(found: st.Scene, truth: st.Scene) -> tuple[float, flo
     return np.abs(along).max(), max(across.max(), np.abs(a.radius / b.radius - 1).max())
 
 
-def supersampled(truth: st.Scene) -> np.ndarray:
-    return np.asarray(st.render(truth, width=256, height=256, samples=16, **MATTE))
+def fitted_to_rays(displaced, free: tuple[str, ...]) -> tuple[st.Scene, st.Scene]:
+    """The nine spheres, displaced and fitted to their picture of 16 x 16 rays; and the truth."""
+    truth = nine_spheres(LIGHT)
+    target = st.render(truth, width=256, height=256, samples=16, **MATTE)
+    found = st.fit(displaced(truth.with_antialias(1)), target, free=free, **MATTE)
+    assert found.converged
+    return found.scene, truth
 
 
 @pytest.mark.slow
 def test_the_nine_spheres_come_back_from_a_supersampled_picture():
-    truth = nine_spheres(LIGHT)
-    start = displaced_nine(truth.with_antialias(1))
-    found = st.fit(start, supersampled(truth), free=SPHERES, **MATTE)
-    assert found.converged
-    depth, other = depth_and_other_errors(found.scene, truth)
+    depth, other = depth_and_other_errors(*fitted_to_rays(displaced_nine, SPHERES))
     assert other < 1e-3
     # the sampling error of 16 x 16 rays alone moves the best depth by 1.8e-3 (docs/edges.md)
     assert depth < 1e-2
@@ -168,11 +169,7 @@ def test_the_nine_spheres_come_back_from_a_supersampled_picture():
 
 @pytest.mark.slow
 def test_the_camera_comes_back_from_a_supersampled_picture_of_the_nine_spheres():
-    truth = nine_spheres(LIGHT)
-    start = turned(truth.with_antialias(1))
-    found = st.fit(start, supersampled(truth), free=CAMERA, **MATTE)
-    assert found.converged
-    assert camera_error(found.scene, truth) < 1e-3
+    assert camera_error(*fitted_to_rays(turned, CAMERA)) < 1e-3
 
 
 @pytest.mark.slow
