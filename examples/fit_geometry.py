@@ -13,7 +13,6 @@ import numpy as np
 import spheretrace_jax as st
 from spheretrace_jax.files.images import to_srgb
 from spheretrace_jax.fit import Progress
-from spheretrace_jax.report import verdict
 
 FREE = ("center", "radius", "light_position")
 
@@ -94,7 +93,7 @@ def main() -> None:
         print(f"step {progress.step:2}: cost {progress.cost:.1e}, off by {off}")
 
     found = st.fit(start, target, free=FREE, callback=show)
-    print(verdict(found))
+    print(found.trust.verdict)
     for name, error in errors(found.scene, truth).items():
         print(f"{name:15} largest error {error:.1e}")
     some = np.unique(np.linspace(0, len(steps) - 1, 7).round().astype(int))

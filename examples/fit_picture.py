@@ -12,7 +12,7 @@ import numpy as np
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.report import determined, verdict
+from spheretrace_jax.report import determined
 
 SCENE = Path(__file__).parent.parent / "data" / "nine_spheres.txt"
 
@@ -31,7 +31,7 @@ def main() -> None:
         start, target, samples=1, bounces=1,
         callback=lambda p: print(f"step {p.step:2}: cost {p.cost:.3e}"),
     )  # fmt: skip
-    print(verdict(found))
+    print(found.trust.verdict)
     true = determined(truth)
     for name, value in determined(found.scene).items():
         print(f"{name:15} largest error {np.abs(value - true[name]).max():.1e}")

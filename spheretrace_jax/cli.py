@@ -109,7 +109,6 @@ class FitCommand:
     def run(self) -> int:
         from . import load_scene, read_image, save_scene
         from .files.atomic import check_place
-        from .report import verdict
 
         free = tuple(name.strip() for name in self.free.split(",") if name.strip())
         check_place(self.output)
@@ -119,11 +118,11 @@ class FitCommand:
         settings = dict(highlight=self.highlight, bounces=self.bounces, samples=self.samples)
         found = _fit_with_progress(scene, target, free=free, max_steps=self.max_steps, **settings)
         save_scene(self.output, found.scene)
-        print(f"{self.output}: {verdict(found)}")
+        print(f"{self.output}: {found.trust}")
         if self.report is not None:
             for file in _report(self.report, found, scene, target, free, settings):
                 print(file)
-        return 130 if found.interrupted else 0 if found.converged else 1
+        return 130 if found.interrupted else 0 if found.trust.ok else 1
 
 
 @dataclass
@@ -217,7 +216,7 @@ class Demo:
     def run(self) -> int:
         from . import load_scene, read_image, render, save_scene, write_image
         from .demo import wrong_start
-        from .report import determined, verdict
+        from .report import determined
 
         _check_folder(self.output)
         data = _data_folder()
@@ -234,7 +233,7 @@ class Demo:
             write_image(self.output / "fitted.png", render(smooth))
         files = [self.output / "fitted.txt", self.output / "fitted.png"]
         files += _report(self.output, found, start, target, DEFAULT_FREE, settings)
-        print(f"the fit {verdict(found)}")
+        print(f"the fit {found.trust.verdict}")
         print("largest error against the file that POV-Ray rendered:")
         pairs = zip(determined(found.scene).items(), determined(start).values(), strict=True)
         for (name, value), first in pairs:
@@ -242,7 +241,7 @@ class Demo:
             error, at_start = (abs(x - true).max() for x in (value, first))
             print(f"  {name:15} {error:9.2e}   (start: {at_start:.2e})")
         print("written:", *files, sep="\n  ")
-        return 0 if found.converged else 1
+        return 0 if found.trust.ok else 1
 
 
 def main() -> None:
@@ -357,7 +356,7 @@ def _fit_with_progress(scene, target, **settings):
                 task,
                 completed=state.step,
                 total=state.max_steps,
-                description=f"cost {state.cost:.3e}",
+                description=f"cost {state.cost:.3e}, damping {state.damping:.0e}",
             )
 
         return fit(scene, target, callback=show, **settings)

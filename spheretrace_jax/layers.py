@@ -25,7 +25,7 @@ from .outlines import crossing, outline_of
 from .paths import Path, next_path, radiance
 from .peel import MOST_LAYERS, peel
 from .penumbra import unoccluded_part
-from .phases import fetch, keep
+from .phases import keep
 from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
@@ -105,7 +105,7 @@ def layer_color(
     needs, ray = options.needs, beam.value
     mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
     surface = mean_surface(ray)
-    material = fetch(world.materials, hit.id)
+    material = world.material(hit.id)
     terms = lambda light: _terms(
         world, beam, reach, hit, surface, material, light, visible, options
     )
@@ -184,7 +184,7 @@ def _mean_lambert(
 
     **Arguments:** `reach`: as for `world.surface_at`. `cosine`: the mean of N.L.
     """
-    ball = fetch(world.balls, hit.id)
+    ball = world.ball(hit.id)
     _, q = perpendicular(ray.origin, ray.direction, ball.center)
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
     low, high = chord_range(q, radius, reach)

@@ -71,7 +71,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         return np.full(value.shape, True) if name in free else value != 0
 
     kgr, kt = some("kgr"), some("kt")
-    objects = len(spheres) + len(planes) + (scene.back_plane is not None)
+    objects = scene.objects
     moving = free & {"center", "radius", "theta", "phi", "mu"}
     inside = bool(kt.any() or (len(spheres) and (moving or _eye_is_inside(scene))))
     return Needs(

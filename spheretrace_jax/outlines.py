@@ -9,7 +9,6 @@ from .coverage import Region, disc_region, half_plane_region
 from .halfplane import HalfPlane, everything, positive
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch
 from .varying import Varying
 from .vec import dot, safe_sqrt, where
 from .world import Hit, World, surface_at
@@ -31,7 +30,7 @@ class Crossing(eqx.Module):
 
 def outline_of(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> Outline:
     """What of a pixel is inside an object's silhouette; all of it, if there is none."""
-    ball = fetch(world.balls, hit.id)
+    ball = world.ball(hit.id)
     is_ball = (hit.id >= 0) & (hit.id < world.spheres)
     q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
@@ -40,7 +39,7 @@ def outline_of(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> Outl
     outline = where(is_ball & ~hit.inside, inside, whole)
     reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
     if needs.planes:
-        flat = fetch(world.flats, hit.id - world.spheres)
+        flat = world.flat(hit.id)
         away = dot(flat.point - beam.value.origin, flat.normal)
         side = jnp.where(away < 0, -1, 1).astype(away.dtype)
         slope = beam.map(lambda ray: dot(ray.direction, flat.normal) * side)

@@ -17,7 +17,7 @@ from .camera import Ray
 from .edges import Cone, near_edge, onward
 from .needs import Needs
 from .options import Options
-from .phases import fetch, materialise_pair
+from .phases import materialise_pair
 from .scene import Scene
 from .shading import light_terms
 from .vec import Vec, reflect, where, zeros
@@ -139,8 +139,8 @@ def shade(
     """
     needs, ray, hit = options.needs, path.ray, path.hit
     surface = surface_at(world, ray, hit, needs)
-    material = fetch(world.materials, hit.id)
-    terms = lambda light: _terms(world, ray, hit, surface, material, light, options)
+    material = world.material(hit.id)
+    terms = lambda light: light_terms_at(world, ray, hit, surface, material, light, options)
     color = local_color(scene, world, hit, surface, material, needs, terms)
     if needs.background:
         color = where(hit.id >= 0, color, background(scene, ray.direction))
@@ -153,7 +153,7 @@ def shade(
     return color, next_path(world, path, surface, material, needs, choice)
 
 
-def _terms(
+def light_terms_at(
     world: World,
     ray: Ray,
     hit: Hit,

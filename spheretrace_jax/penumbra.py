@@ -14,7 +14,7 @@ from .coverage import disc_region
 from .halfplane import HalfPlane, common_area, everything, middle, positive
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch, fill, keep, over
+from .phases import fill, keep, over
 from .varying import Varying
 from .vec import Vec, dot, norm, safe_sqrt, unit, where
 from .visibility import row
@@ -52,10 +52,15 @@ def unoccluded_part(
     # what few groups have is not worth its place in memory
     @jax.checkpoint
     def outside(places: Ids, _: Mask) -> HalfPlane:
+        at = places % count
         # rays from the eye have one origin for all
-        pick = lambda x: x[places % count] if x.ndim else x
+        pick = lambda x: x[at] if x.ndim else x
         beam_, reach_, place_, hit_ = keep(jax.tree.map(pick, (beam, reach, place, hit)))
-        return ~_shadow(world, beam_, reach_, place_, hit_, number[places], light, needs)
+        world_ = (
+            world if world.own is None else eqx.tree_at(lambda w: w.own, world, world.own.at(at))
+        )
+        light_ = jax.tree.map(pick, light)
+        return ~_shadow(world_, beam_, reach_, place_, hit_, number[places], light_, needs)
 
     def cut() -> Plane:
         anywhere = everything(jnp.ones_like(number, reach.dtype))
@@ -94,13 +99,13 @@ def _bound(
 ) -> _Bound:
     """What bounds the shadow of one object, as its derivatives at a place in the pixel say."""
     x, y = place
-    ball = fetch(world.balls, number)
+    ball = world.ball(number)
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
     there = beam.at(x, y).map(lambda ray: surface_at(world, _straight(ray), hit, needs).point)
     q = there.map(lambda p: _from_light(p, light, ball.center)[1])
     f = q.map(lambda q: radius - norm(q))
     if needs.planes:
-        flat = fetch(world.flats, number - world.spheres)
+        flat = world.flat(number)
         side = jnp.where(dot(light - flat.point, flat.normal) > 0, -1, 1).astype(radius.dtype)
         below = there.map(lambda p: dot(p - flat.point, flat.normal) * side)
         f = where(number >= world.spheres, below, f)
@@ -161,7 +166,7 @@ def _where_zero(
     function is far from linear in the pixel.
     """
     x, y = place
-    ball = fetch(world.balls, hit.id)
+    ball = world.ball(hit.id)
     across = lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1]
     least = 0.3 * mean_chord(across(beam.value), ball.radius, reach)[0]
     least = jnp.where(least > 0, least, 1)

@@ -113,11 +113,26 @@ def _fetch_jvp(primals, tangents):
     return _fetch(columns, ids), [d[..., k] for k in range(len(columns))]
 
 
+def fetch_own(table: T, ids: Ids) -> T:
+    """`fetch` from tables of each pixel's own, of shape `(objects, *pixels)`.
+
+    A table of one row gives that row, whatever the number.
+    """
+
+    def one(column: Float[Array, "rows *#pixels"]) -> Plane:
+        if column.shape[0] <= UNROLL:
+            return _select(list(column), ids)
+        rows = _within(ids, column.shape[0])[None]
+        return jnp.take_along_axis(column, rows, axis=0, mode="promise_in_bounds")[0]
+
+    return jax.tree.map(one, table)
+
+
 def _within(ids: Ids, count: int) -> Ids:
     return jnp.clip(ids, 0, count - 1).astype(jnp.int32)
 
 
-def _select(values: list[Scalar], ids: Ids) -> Plane:
+def _select(values: list[Plane], ids: Ids) -> Plane:
     """values[ids] by a binary tree of selects on the bits of the ids: no gather, so vectorised."""
     bit = 0
     while len(values) > 1:

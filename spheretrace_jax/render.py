@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Int
 
-from ._types import Highlight, Mask, Picture, Plane
-from .camera import pixel_rays
+from ._types import Highlight, Ids, Mask, Picture, Plane
+from .camera import Ray, pixel_rays
 from .edges import pixel_cones
 from .layers import layered
 from .needs import Needs
@@ -57,45 +57,107 @@ def render(
 
     **Raises:** `InputError` for sizes, samples or bounces out of range and unknown highlights.
     """
-    return _render(scene, options(scene, width, height, highlight, bounces, samples, needs))
+    return draw(scene, options(scene, width, height, highlight, bounces, samples, needs))
 
 
 @eqx.filter_jit
-def _render(scene: Scene, options: Options) -> Picture:
+def draw(scene: Scene, options: Options) -> Picture:
+    """`render` with its static arguments already checked."""
+    return averaged(*sampled(scene, options), options)
+
+
+def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
+    """The mean of each pixel's samples, and in which pixels there may be edges."""
     world, k = build_world(scene), options.samples
-    places = (jnp.arange(k, dtype=scene.dtype) + 0.5) / k
+    places = sample_places(scene, options)
     if k == 1:
-        color, edge = _sample(scene, world, options, places[0], places[0])
-    else:
+        return _sample(scene, world, options, places[0][0], places[1][0])
 
-        def add(total: tuple[Vec, Mask], place: tuple) -> tuple[tuple[Vec, Mask], None]:
-            color, edge = _sample(scene, world, options, *place)
-            return (total[0] + color, total[1] | edge), None
+    def add(total: tuple[Vec, Mask], place: tuple) -> tuple[tuple[Vec, Mask], None]:
+        color, edge = _sample(scene, world, options, *place)
+        return (total[0] + color, total[1] | edge), None
 
-        grid = tuple(g.reshape(-1) for g in jnp.meshgrid(places, places))
-        size = (options.height, options.width)
-        start = zeros(size, scene.dtype), jnp.full(size, False)
-        (color, edge), _ = lax.scan(add, start, grid)
-        color = color * (1 / k**2)
-    if options.antialias:
-        color = jax.tree.map(lambda f: f + _bend(f, edge) * (1 / (24 * k**2)), color)
-    return jnp.stack([color.x, color.y, color.z], axis=-1)
+    size = (options.height, options.width)
+    start = zeros(size, scene.dtype), jnp.full(size, False)
+    (color, edge), _ = lax.scan(add, start, places)
+    return color * (1 / k**2), edge
 
 
-def _bend(f: Plane, edge: Mask) -> Plane:
-    """f_xx + f_yy, from differences of neighbours; 0 where an edge may be in between.
+def sample_places(scene: Scene, options: Options) -> tuple[Array, Array]:
+    """Where a pixel's k x k samples are: in pixels, from its left and its top."""
+    middles = (jnp.arange(options.samples, dtype=scene.dtype) + 0.5) / options.samples
+    left, top = jnp.meshgrid(middles, middles)
+    return left.reshape(-1), top.reshape(-1)
+
+
+def averaged(color: Vec, edge: Mask, options: Options) -> Picture:
+    """The picture: where pixels are areas, smooth shading is averaged over them, too.
 
     The mean of a smooth f over a pixel is f + (f_xx + f_yy)/24: without that what is bright and
     small, as highlights are, is too bright at its centre.
     """
-    wide, cut = jnp.pad(f, 1), jnp.pad(edge, 1, constant_values=True)
+    if options.antialias:
+        across, down = smooth_beside(edge)
+        part = bend_part(options)
 
-    def along(one: tuple, other: tuple) -> Plane:
-        return jnp.where(edge | cut[one] | cut[other], 0, wide[one] + wide[other] - 2 * f)
+        def mean(f: Plane) -> Plane:
+            wide = jnp.pad(f, 1)
+            bend_x = wide[1:-1, :-2] + wide[1:-1, 2:] - 2 * f
+            bend_y = wide[:-2, 1:-1] + wide[2:, 1:-1] - 2 * f
+            return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
 
-    left, right = jnp.s_[1:-1, :-2], jnp.s_[1:-1, 2:]
-    above, below = jnp.s_[:-2, 1:-1], jnp.s_[2:, 1:-1]
-    return along(left, right) + along(above, below)
+        color = jax.tree.map(mean, color)
+    return jnp.stack([color.x, color.y, color.z], axis=-1)
+
+
+def bend_part(options: Options) -> float:
+    """What second differences of neighbours count in a pixel's mean."""
+    return 1 / (24 * options.samples**2)
+
+
+def smooth_beside(edge: Mask) -> tuple[Mask, Mask]:
+    """Where there is no edge in a pixel nor left and right of it, and not above and below."""
+    cut = jnp.pad(edge, 1, constant_values=True)
+    across = ~(edge | cut[1:-1, :-2] | cut[1:-1, 2:])
+    return across, ~(edge | cut[:-2, 1:-1] | cut[2:, 1:-1])
+
+
+def point_seen(
+    scene: Scene, world: World, options: Options, pixels: Ids, left: Array, top: Array
+) -> Vec:
+    """What one ray sees of each of some pixels. **Arguments:** `pixels`: row by row from 0."""
+    return radiance(scene, world, rays_through(scene, options, pixels, left, top), options)[0]
+
+
+def rays_through(scene: Scene, options: Options, pixels: Ids, left: Array, top: Array) -> Ray:
+    """The rays of one sample of some pixels."""
+    column, row = _position(pixels, options, left, top)
+    return pixel_rays(scene.camera, column, row, (options.width, options.height))
+
+
+def area_seen(
+    scene: Scene,
+    world: World,
+    options: Options,
+    pixels: Ids,
+    alive: Mask,
+    left: Array,
+    top: Array,
+) -> Vec:
+    """What a sample sees of some pixels, their edges covered by area.
+
+    **Arguments:** `pixels`: row by row from 0. `alive`: which of them count; others are 0.
+    """
+    column, row = _position(pixels, options, left, top)
+    size = options.width, options.height
+    beam = pixel_beams(scene.camera, column, row, size, 1 / options.samples)
+    return layered(scene, world, beam, options, alive)
+
+
+def _position(pixels: Ids, options: Options, left: Array, top: Array) -> tuple[Plane, Plane]:
+    """Where samples are, in pixels from the picture's left and top."""
+    column, row = pixels % options.width, pixels // options.width
+    return left + column.astype(left.dtype), top + row.astype(top.dtype)
 
 
 def _sample(
@@ -130,10 +192,7 @@ def _sample(
     # nor what few of the chunks have
     @jax.checkpoint
     def compose(pixels: Int[Array, " n"], alive: Mask) -> Vec:
-        column = left + (pixels % width).astype(dtype)
-        line = top + (pixels // width).astype(dtype)
-        beam = pixel_beams(scene.camera, column, line, (width, height), 1 / options.samples)
-        return layered(scene, world, beam, options, alive)
+        return area_seen(scene, world, options, pixels, alive, left, top)
 
     flat = jax.tree.map(jnp.ravel, color)
     flat = fill(flat, edge.reshape(-1), compose, min(EDGE_PIXELS, edge.size), GROUP)

@@ -11,19 +11,6 @@ from .fit.parameters import value
 from .scene import Scene
 
 
-def verdict(fit: Fit) -> str:
-    """One sentence: whether the fit can be trusted, and how well it explains the picture."""
-    misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
-    left_out = f"; {fit.left_out} clipped numbers left out" if fit.left_out else ""
-    if fit.interrupted:
-        end = "interrupted: the best scene so far"
-    elif fit.converged:
-        end = "converged"
-    else:
-        end = f"NOT converged ({str(fit.result_message).split('.')[0].strip()})"
-    return f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
-
-
 def determined(scene: Scene) -> dict[str, np.ndarray]:
     """What a picture determines: the products of colour and coefficients, ks, the lights."""
     s = scene.spheres
@@ -35,22 +22,36 @@ def determined(scene: Scene) -> dict[str, np.ndarray]:
     }
 
 
-def parameter_table(start: Scene, fitted: Scene, free: tuple[str, ...]) -> str:
-    """A Markdown table of the free parameters, before and after, one line per object."""
-    lines = ["| parameter | object | before | after |", "|---|---|---|---|"]
+def _remarks(fit: Fit) -> list[str]:
+    known = fit.identifiability
+    return [f"{known.rank} of {known.free} free numbers.", *(f"{r}." for r in fit.trust.remarks)]
+
+
+def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
+    """A Markdown table of the free parameters, one line per object.
+
+    Before, after, and the standard deviation: `-` for what is not determined.
+    """
+    lines = ["| parameter | object | before | after | +- |", "|---|---|---|---|---|"]
+    deviations = fit.uncertainty.standard_deviations
     for name in free:
-        before, after = (np.asarray(value(scene, name)) for scene in (start, fitted))
+        if name == "exposure":
+            continue
+        before, after = (np.asarray(value(scene, name)) for scene in (start, fit.scene))
+        spread = deviations[name]
         if before.ndim == 0:
-            lines.append(f"| {name} | camera | {_numbers(before)} | {_numbers(after)} |")
+            numbers = " | ".join(map(_numbers, (before, after, spread)))
+            lines.append(f"| {name} | camera | {numbers} |")
             continue
         kind = "light" if name.startswith("light") else "sphere"
-        for i, (b, a) in enumerate(zip(before, after, strict=True)):
-            lines.append(f"| {name} | {kind} {i + 1} | {_numbers(b)} | {_numbers(a)} |")
+        for i, row in enumerate(zip(before, after, spread, strict=True)):
+            lines.append(f"| {name} | {kind} {i + 1} | {' | '.join(map(_numbers, row))} |")
     return "\n".join(lines) + "\n"
 
 
 def _numbers(value: np.ndarray | np.floating) -> str:
-    return " ".join(f"{float(x):.6g}" for x in np.atleast_1d(value))
+    finite = lambda x: f"{float(x):.6g}" if np.isfinite(x) else "-"
+    return " ".join(finite(x) for x in np.atleast_1d(value))
 
 
 def write_report(
@@ -75,15 +76,15 @@ def write_report(
     _save(_cost_curve(fit), files[1])
     text = [
         "# Fit",
-        f"{verdict(fit)[0].upper()}{verdict(fit)[1:]}.",
+        f"{fit.trust.verdict[0].upper()}{fit.trust.verdict[1:]}.",
         "![target, start, fit and residual](comparison.png)",
         "![cost after each step](cost.png)",
+        "## What the picture determines",
+        "\n".join(f"- {line}" for line in _remarks(fit)),
         "## Free parameters",
-        "Multiplying color by a number and dividing ka and kd by it changes no picture: where all",
-        "three are free, ka is kept at its start where the bounds allow it.",
-        parameter_table(start, fit.scene, free),
+        parameter_table(start, fit, free),
     ]
-    write_text(files[2], "\n\n".join(text[:5]) + "\n\n" + "\n".join(text[5:7]) + "\n\n" + text[7])
+    write_text(files[2], "\n\n".join(text))
     return files
 
 

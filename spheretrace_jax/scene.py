@@ -286,6 +286,11 @@ class Scene(eqx.Module):
         """The floating dtype of the scene, and so of its pictures."""
         return np.dtype(self.spheres.radius.dtype)
 
+    @property
+    def objects(self) -> int:
+        """How many things a ray can meet: spheres, planes and the back plane."""
+        return len(self.spheres) + len(self.planes) + (self.back_plane is not None)
+
     def with_antialias(self, antialias: int) -> "Scene":
         """The same scene with another antialias flag."""
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}

@@ -44,8 +44,8 @@ class Vec(eqx.Module):
         return self * other
 
 
-def vec(row: Float[Array, " 3"]) -> Vec:
-    """The `Vec` of scalars of one row of an `(n, 3)` array."""
+def vec(row: Float[Array, "3 *pixels"]) -> Vec:
+    """The `Vec` of one row of an `(n, 3)` array: scalars, or planes of a number per pixel."""
     return Vec(row[0], row[1], row[2])
 
 

@@ -63,9 +63,14 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
             best = over(world.planes, plane, best)
         return best[1].astype(world.id_type)
 
-    number = materialise(phase, world.window)
+    return hit_of(world, ray, materialise(phase, world.window), needs, leaving)
+
+
+def hit_of(world: World, ray: Ray, number: Ids, needs: Needs, leaving: Hit | None = None) -> Hit:
+    """The hits of rays that are known to meet some objects first. **Arguments:** as `nearest`."""
     if not needs.inside:
-        return Hit(number, jnp.full(shape, False))
+        return Hit(number, jnp.full(number.shape, False))
+    world, ray, leaving = jax.lax.stop_gradient((world, ray, leaving))
     return Hit(number, materialise(lambda: _from_inside(world, ray, number, leaving), world.window))
 
 

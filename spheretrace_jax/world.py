@@ -14,7 +14,7 @@ from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray, view_frame
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fetch, smallest_int
+from .phases import fetch, fetch_own, smallest_int
 from .scene import Scene
 from .vec import Vec, dot, norm, safe_sqrt, unit, vec, where
 
@@ -69,6 +69,21 @@ class Surface(eqx.Module):
     facing: Plane  #: N.V, at least 0
 
 
+class Own(eqx.Module):
+    """Tables of each pixel's own: derivatives by them are the rows of a picture's Jacobian.
+
+    Arrays of shape `(objects, *pixels)`, or `(1, *pixels)` where each pixel sees only one object.
+    What is discrete is found with the tables that all pixels share.
+    """
+
+    balls: Ball
+    materials: Material
+
+    def at(self, places: Ids) -> "Own":
+        """The tables of the pixels at some places of a flat list."""
+        return jax.tree.map(lambda column: column[:, places], self)
+
+
 class World(eqx.Module):
     """The scene's objects in tables of one row per object, as `Vec`s of arrays."""
 
@@ -77,6 +92,7 @@ class World(eqx.Module):
     materials: Material
     checkers: Checker
     window: Scalar
+    own: Own | None = None  #: what each pixel sees in place of the tables, for Jacobians
 
     @property
     def spheres(self) -> int:
@@ -90,6 +106,20 @@ class World(eqx.Module):
     def id_type(self) -> jnp.dtype:
         """The smallest type that holds the objects' numbers."""
         return smallest_int(self.spheres + self.planes)
+
+    def ball(self, ids: Ids) -> Ball:
+        """Where the spheres of these numbers are; others' are some sphere's."""
+        return fetch(self.balls, ids) if self.own is None else fetch_own(self.own.balls, ids)
+
+    def material(self, ids: Ids) -> Material:
+        """What the objects of these numbers are made of."""
+        if self.own is None:
+            return fetch(self.materials, ids)
+        return fetch_own(self.own.materials, ids)
+
+    def flat(self, ids: Ids) -> Flat:
+        """Where the planes of these numbers are."""
+        return fetch(self.flats, ids - self.spheres)
 
 
 def _columns(array: Float[Array, "rows 3"]) -> Vec:
@@ -145,7 +175,7 @@ def surface_at(
 
     **Returns:** a `Surface`; where a ray hits nothing its numbers are finite but mean nothing.
     """
-    ball = fetch(world.balls, hit.id)
+    ball = world.ball(hit.id)
     _, q = perpendicular(ray.origin, ray.direction, ball.center)
     if reach is None:
         half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
@@ -195,7 +225,7 @@ def mean_root(low: Plane, high: Plane) -> Plane:
 
 
 def _on_plane(world: World, ray: Ray, hit: Hit, reach: Plane | None) -> Surface:
-    flat = fetch(world.flats, hit.id - world.spheres)
+    flat = world.flat(hit.id)
     slope = dot(ray.direction, flat.normal)
     away = dot(flat.point - ray.origin, flat.normal)
     if reach is not None:  # the mean of the slopes that meet the plane

@@ -203,13 +203,15 @@ def test_fit_finds_the_scene_and_reports_it(spheretrace, start):
     for link in re.findall(r"!\[[^]]+\]\(([^)]+)\)", text):
         assert Path("new/report", link).is_file()
     table = [line for line in text.splitlines() if line.startswith("|")]
-    assert table[:2] == ["| parameter | object | before | after |", "|---|---|---|---|"]
-    assert table[2:] == [
-        "| kd | sphere 1 | 0.4 | 0.6 |",
-        "| kd | sphere 2 | 0.4 | 0.5 |",
-        "| ks | sphere 1 | 0.2 | 0.3 |",
-        "| ks | sphere 2 | 0.2 | 0.4 |",
+    assert table[:2] == ["| parameter | object | before | after | +- |", "|---|---|---|---|---|"]
+    rows = [line.strip("|").split("|") for line in table[2:]]
+    assert [[cell.strip() for cell in row[:4]] for row in rows] == [
+        ["kd", "sphere 1", "0.4", "0.6"],
+        ["kd", "sphere 2", "0.4", "0.5"],
+        ["ks", "sphere 1", "0.2", "0.3"],
+        ["ks", "sphere 2", "0.2", "0.4"],
     ]
+    assert all(0 < float(row[4]) < 1e-5 for row in rows)
 
 
 def test_a_fit_that_runs_out_of_steps_is_written_and_exits_with_1(spheretrace, start):
@@ -253,8 +255,8 @@ def test_an_interrupt_outside_of_a_fit_writes_nothing(spheretrace, folder, monke
 # --- mistakes -------------------------------------------------------------------------------------
 
 FREE = (
-    "color, ka, kd, ks, exponent, kgr, kt, light_color, light_position, "
-    "center, radius, theta, phi, mu, distance"
+    "color, ka, kd, ks, exponent, kgr, kt, center, radius, light_position, light_color, "
+    "theta, phi, mu, distance, exposure"
 )
 
 MISTAKES = {

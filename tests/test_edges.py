@@ -96,7 +96,7 @@ def everywhere(monkeypatch, scene: st.Scene, **settings) -> np.ndarray:
     all_ = lambda world, lights, ray, *_: jnp.full(ray.direction.x.shape, True)
     monkeypatch.setattr(paths, "near_edge", all_)
     jax.clear_caches()
-    draw = eqx.filter_jit(render._render.__wrapped__)
+    draw = eqx.filter_jit(render.draw.__wrapped__)
     return np.asarray(draw(scene, render.options(scene, **settings)))
 
 

@@ -8,8 +8,8 @@ from scenes import SCENES, nine_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.fit.parameters import bounds, length_scales, to_scene, to_solver
-from spheretrace_jax.fit.residual import make_target
+from spheretrace_jax.fit.parameters import Parameters
+from spheretrace_jax.fit.target import make_target
 from spheretrace_jax.report import determined
 
 LIGHT = (100.0, 500, 800)
@@ -138,9 +138,9 @@ def test_clipped_pixels_are_left_out_and_do_no_harm(tmp_path):
 def test_numbers_at_1_count_in_pictures_that_go_beyond():
     picture = np.full((2, 2, 3), 0.5)
     picture[0, 0] = 1.0
-    assert make_target(picture, np.dtype(np.float64)).counts.sum() == 9
+    assert make_target(picture, np.dtype(np.float64)).counted == 9
     picture[1, 1] = 1.7
-    assert make_target(picture, np.dtype(np.float64)).counts.all()
+    assert make_target(picture, np.dtype(np.float64)).counted == 12
 
 
 @pytest.mark.parametrize("solver", [optx.Dogleg, optx.GaussNewton, optx.LevenbergMarquardt])
@@ -213,22 +213,26 @@ def test_any_number_of_the_solver_stands_for_a_valid_scene():
             *("center", "radius", "theta", "phi", "mu", "distance"),
         ),
     )
-    scales = length_scales(scene)
-    values = to_solver(scene, free, scales)
-    same = to_scene(scene, values, scales)
+    parameters = Parameters(scene, free)
+    values = parameters.start()
+    same, exposure = parameters.place(values)
+    assert (exposure == 1).all()
     assert all(
         np.allclose(a, b, rtol=1e-14)
         for a, b in zip(*map(jax.tree.leaves, (scene, same)), strict=True)
     )
     wild = jax.tree.map(lambda y: 3.7 * y - 2.2, values)
-    valid = to_scene(scene, wild, scales)
+    valid, _ = parameters.place(wild)
     s = valid.spheres
     for value in (s.color, s.ka, s.ks, s.kt):
         assert 0 <= value.min() and value.max() <= 1
     for value in (s.exponent, s.radius, valid.camera.mu, valid.camera.distance):
         assert value.min() > 0
-    low, high = bounds(values)
+    low, high = parameters.bounds()
     assert (
         (low["color"] == 0).all() and (high["color"] == 1).all() and (low["light_color"] == 0).all()
     )
-    assert np.isinf(high["light_color"]).all() and np.isinf(low["light_position"]).all()
+    assert np.isinf(high["light_color"]).all() and np.isinf(high["light_position"]).all()
+    # two numbers turn a light, the third moves it away, at most to infinity
+    assert np.isinf(low["light_position"][:, :2]).all()
+    assert np.isfinite(low["light_position"][:, 2]).all()

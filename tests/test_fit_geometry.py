@@ -9,7 +9,7 @@ from scenes import nine_spheres, three_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.camera import view_frame
-from spheretrace_jax.fit.parameters import length_scales, to_solver
+from spheretrace_jax.fit.parameters import Parameters
 
 SPHERES = ("center", "radius")
 CAMERA = ("theta", "phi", "mu", "distance")
@@ -89,7 +89,7 @@ def test_the_camera_comes_back_to_1e_8():
 def test_the_solver_is_blind_to_the_unit_of_length():
     free = (*SPHERES, *CAMERA, "light_position")
     scenes = [displaced_two(unit) for unit in (1.0, 1e3, 1e-3)]
-    numbers = [to_solver(scene, free, length_scales(scene)) for scene in scenes]
+    numbers = [Parameters(scene, free).start() for scene in scenes]
     for other in numbers[1:]:
         for name in free:
             np.testing.assert_allclose(other[name], numbers[0][name], rtol=1e-14)

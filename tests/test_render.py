@@ -124,7 +124,7 @@ def test_strips_leave_no_seams(monkeypatch):
     scene, size = SCENES["planes"], dict(width=23, height=19, bounces=1)
     whole = st.render(scene, **size)
     monkeypatch.setattr(module, "STRIP_PIXELS", 100)
-    pieces = eqx.filter_jit(module._render.__wrapped__)(scene, module.options(scene, **size))
+    pieces = eqx.filter_jit(module.draw.__wrapped__)(scene, module.options(scene, **size))
     np.testing.assert_allclose(pieces, whole, atol=1e-14)
 
 

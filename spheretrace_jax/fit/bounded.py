@@ -98,4 +98,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
             self.search = optx.ClassicalTrustRegion(
                 high_cutoff=0.75, low_cutoff=0.25, high_constant=2.0
             )
-        self.verbose = lambda **kwargs: None
+        self.verbose = _say_nothing
+
+
+def _say_nothing(**kwargs) -> None:
+    """One function for all solvers: another for each would make each be compiled again."""

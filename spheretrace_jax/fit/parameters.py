@@ -8,6 +8,8 @@ Levenberg-Marquardt still converges quadratically, in 7 steps on the nine sphere
 and sine, whose slope vanishes there, had not arrived after 60.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,32 +17,43 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError
 from ..scene import Scene
+from .chart import Chart, chart_at
 
 Values = dict[str, Float[Array, "..."]]
 
-#: name: (where in the scene, kind). "unit" is 0..1, "positive" is fitted by its logarithm.
-_PARAMETERS = {
-    "color": (lambda s: s.spheres.color, "unit"),
-    "ka": (lambda s: s.spheres.ka, "unit"),
-    "kd": (lambda s: s.spheres.kd, "unit"),
-    "ks": (lambda s: s.spheres.ks, "unit"),
-    "exponent": (lambda s: s.spheres.exponent, "positive"),
-    "kgr": (lambda s: s.spheres.kgr, "unit"),
-    "kt": (lambda s: s.spheres.kt, "unit"),
-    "light_color": (lambda s: s.lights.color, "nonnegative"),
-    "light_position": (lambda s: s.lights.position, "any"),
-    "center": (lambda s: s.spheres.center, "any"),
-    "radius": (lambda s: s.spheres.radius, "positive"),
-    "theta": (lambda s: s.camera.theta, "any"),
-    "phi": (lambda s: s.camera.phi, "any"),
-    "mu": (lambda s: s.camera.mu, "positive"),
-    "distance": (lambda s: s.camera.distance, "positive"),
+#: Where in the scene the parameters of spheres, lights and the camera are.
+SPHERES: dict[str, Callable] = {
+    "color": lambda s: s.spheres.color,
+    "ka": lambda s: s.spheres.ka,
+    "kd": lambda s: s.spheres.kd,
+    "ks": lambda s: s.spheres.ks,
+    "exponent": lambda s: s.spheres.exponent,
+    "kgr": lambda s: s.spheres.kgr,
+    "kt": lambda s: s.spheres.kt,
+    "center": lambda s: s.spheres.center,
+    "radius": lambda s: s.spheres.radius,
 }
+LIGHTS: dict[str, Callable] = {
+    "light_position": lambda s: s.lights.position,
+    "light_color": lambda s: s.lights.color,
+}
+CAMERA: dict[str, Callable] = {
+    "theta": lambda s: s.camera.theta,
+    "phi": lambda s: s.camera.phi,
+    "mu": lambda s: s.camera.mu,
+    "distance": lambda s: s.camera.distance,
+}
+PLACES = SPHERES | LIGHTS | CAMERA
 
-NAMES = tuple(_PARAMETERS)
+#: What may be free. The exposure is a picture's, not the scene's.
+NAMES = (*PLACES, "exposure")
 
 #: Those whose change is seen only by where edges are.
-GEOMETRY = frozenset(("center", "radius", "theta", "phi", "mu", "distance"))
+GEOMETRY = frozenset(("center", "radius", *CAMERA))
+
+# Numbers in 0..1; numbers that are fitted by their logarithm.
+_UNIT = frozenset(("color", "ka", "kd", "ks", "kgr", "kt"))
+_POSITIVE = frozenset(("exponent", "radius", "mu", "distance", "exposure"))
 
 # An exponent of 0 has no logarithm; a fit starts from this instead.
 _LEAST_EXPONENT = 1e-2
@@ -48,7 +61,7 @@ _LEAST_EXPONENT = 1e-2
 
 def check_free(free: tuple[str, ...]) -> None:
     """**Raises:** `InputError` for names that cannot be free, or none at all."""
-    unknown = [name for name in free if name not in _PARAMETERS]
+    unknown = [name for name in free if name not in NAMES]
     if unknown or not free:
         got = ", ".join(unknown) or "none"
         raise InputError(f"free parameters must be among {', '.join(NAMES)}, got {got}")
@@ -59,8 +72,10 @@ def check_free(free: tuple[str, ...]) -> None:
 def check_present(scene: Scene, free: tuple[str, ...]) -> None:
     """**Raises:** `InputError` for free parameters of things that the scene does not have."""
     for name in free:
+        if name == "exposure":
+            continue
         if value(scene, name).size == 0:
-            things = "lights" if name.startswith("light") else "spheres"
+            things = "lights" if name in LIGHTS else "spheres"
             raise InputError(f"{name} is free, but the scene has no {things}")
         if name in ("radius", "mu", "distance") and not (value(scene, name) > 0).all():
             raise InputError(f"{name} is free: it must start above 0")
@@ -68,74 +83,98 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
 
 def value(scene: Scene, name: str) -> Array:
     """The array of a scene that a free parameter's name stands for."""
-    return _PARAMETERS[name][0](scene)
+    return PLACES[name](scene)
 
 
-def length_scales(scene: Scene) -> Values:
-    """Lengths that make lengths numbers of order one, so that a fit is blind to the user's units.
+class Parameters(eqx.Module):
+    """The way from a solver's numbers to a scene, and back at the start."""
 
-    For the lights' positions how far they are: the long valley of a light's distance takes 7 steps
-    instead of 27. For each sphere's centre its radius, and for all else the start itself.
-    """
-    spheres, camera = scene.spheres, scene.camera
-    n = len(spheres)
-    middle = jnp.mean(spheres.center, axis=0) if n else jnp.zeros(3, scene.dtype)
-    away = jnp.linalg.norm(scene.lights.position - middle[None], axis=1)
-    lengths = {
-        "light_position": jnp.max(jnp.append(away, camera.mu)),
-        "center": jnp.broadcast_to(spheres.radius[:, None], (n, 3)),
-        "radius": spheres.radius,
-        "mu": camera.mu,
-        "distance": camera.distance,
-    }
-    return {name: jnp.where(length > 0, length, 1) for name, length in lengths.items()}
+    scene: Scene  #: the start; what is not free stays as it is here
+    charts: Chart | None  #: of the lights' positions
+    free: tuple[str, ...] = eqx.field(static=True)
 
+    def __init__(self, scene: Scene, free: tuple[str, ...]):
+        self.scene, self.free = scene, free
+        self.charts = None
+        if "light_position" in free:
+            middle, size = extent(scene)
+            self.charts = jax.vmap(chart_at, (0, None, None))(scene.lights.position, middle, size)
 
-def to_solver(scene: Scene, free: tuple[str, ...], scales: Values) -> Values:
-    """The numbers that a solver starts from: those of the scene, brought within the bounds."""
+    def start(self) -> Values:
+        """The solver's numbers at the start, brought within the bounds."""
+        return {name: self._start(name) for name in self.free}
 
-    def one(name: str) -> Array:
-        start, kind = value(scene, name), _PARAMETERS[name][1]
+    def _start(self, name: str) -> Array:
+        if name == "exposure":
+            return jnp.zeros(3, self.scene.dtype)
+        if name == "light_position":
+            return jnp.zeros_like(self.scene.lights.position)
+        start = value(self.scene, name) / self._unit(name)
         if name == "exponent":
             start = jnp.maximum(start, _LEAST_EXPONENT)
-        start = start / scales.get(name, 1)
-        if kind == "positive":
+        if name in _POSITIVE:
             return jnp.log(start)
-        if kind == "any":
-            return start
-        return jnp.clip(start, 0, 1 if kind == "unit" else None)
+        if name in _UNIT:
+            return jnp.clip(start, 0, 1)
+        return jnp.maximum(start, 0) if name == "light_color" else start
 
-    return {name: one(name) for name in free}
+    def _unit(self, name: str) -> Array | int:
+        """What makes a length a number of order one: a fit is blind to the user's units."""
+        if name in ("radius", "mu", "distance"):
+            return value(self.scene, name)
+        if name == "center":
+            radius = self.scene.spheres.radius
+            return jnp.where(radius > 0, radius, 1)[:, None]
+        return 1
 
+    def natural(self, values: Values) -> Values:
+        """The parameters themselves, in the scene's units, that a solver's numbers stand for."""
+        return {name: self._natural(name, y) for name, y in values.items()}
 
-def to_scene(scene: Scene, values: Values, scales: Values) -> Scene:
-    """The scene that a solver's numbers stand for; what is not free stays as in `scene`."""
-
-    def one(name: str) -> Array:
-        y, kind = values[name], _PARAMETERS[name][1]
-        if kind == "unit":
+    def _natural(self, name: str, y: Array) -> Array:
+        if name == "light_position":
+            return jax.vmap(Chart.position)(self.charts, y)
+        if name in _UNIT:
             return _fold(y)
-        if kind == "nonnegative":
+        if name == "light_color":
             return jnp.abs(y)
-        return (jnp.exp(y) if kind == "positive" else y) * scales.get(name, 1)
+        return (jnp.exp(y) if name in _POSITIVE else y) * self._unit(name)
 
-    places = [_PARAMETERS[name][0] for name in values]
-    new = [one(name) for name in values]
-    return eqx.tree_at(lambda s: [where(s) for where in places], scene, new)
+    def place(self, values: Values) -> tuple[Scene, Float[Array, " 3"]]:
+        """The scene that a solver's numbers stand for, and the exposure."""
+        natural = self.natural(values)
+        exposure = natural.pop("exposure", jnp.ones(3, self.scene.dtype))
+        if not natural:
+            return self.scene, exposure
+        where = lambda scene: [PLACES[name](scene) for name in natural]
+        return eqx.tree_at(where, self.scene, list(natural.values())), exposure
+
+    def bounds(self) -> tuple[Values, Values]:
+        """The least and greatest allowed of the solver's numbers."""
+
+        def limit(name: str, y: Array, low: bool) -> Array:
+            if name == "light_position" and self.charts is not None and low:
+                return jax.vmap(Chart.least)(self.charts)
+            if low:
+                bound = 0.0 if name in _UNIT or name == "light_color" else -jnp.inf
+            else:
+                bound = 1.0 if name in _UNIT else jnp.inf
+            return jnp.full_like(y, bound)
+
+        start = self.start()
+        least, most = ({n: limit(n, y, low) for n, y in start.items()} for low in (True, False))
+        return least, most
 
 
-def bounds(values: Values) -> tuple[Values, Values]:
-    """The least and greatest allowed of the solver's numbers."""
-
-    def limit(name: str, low: bool) -> Array:
-        kind = _PARAMETERS[name][1]
-        if low:
-            value = 0.0 if kind in ("unit", "nonnegative") else -jnp.inf
-        else:
-            value = 1.0 if kind == "unit" else jnp.inf
-        return jnp.full_like(values[name], value)
-
-    return {n: limit(n, True) for n in values}, {n: limit(n, False) for n in values}
+def extent(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+    """The middle of a scene's spheres, and how far they reach around it."""
+    spheres = scene.spheres
+    if not len(spheres):
+        return jnp.zeros(3, scene.dtype), jnp.where(scene.camera.mu > 0, scene.camera.mu, 1)
+    middle = jnp.mean(spheres.center, axis=0)
+    reach = jnp.linalg.norm(spheres.center - middle[None], axis=1) + spheres.radius
+    size = jnp.max(reach)
+    return middle, jnp.where(size > 0, size, 1)
 
 
 def _fold(y: Array) -> Array:
@@ -143,26 +182,3 @@ def _fold(y: Array) -> Array:
     y = jnp.abs(y)
     turn = jax.lax.stop_gradient(jnp.floor(y))
     return jnp.where(turn % 2 == 0, y - turn, 1 - (y - turn))
-
-
-def hold_ka(fitted: Scene, start: Scene, free: tuple[str, ...]) -> Scene:
-    """Fixes what no picture determines: color times c, with ka and kd divided by c, looks the same.
-
-    Of these equal scenes the one is taken whose ka is the start's, or, where color or kd would
-    leave 0..1 then, the nearest to it. Only where color, ka and kd are all free.
-    """
-    if not {"color", "ka", "kd"} <= set(free):
-        return fitted
-    s, wanted = fitted.spheres, start.spheres.ka
-    some = (s.ka > 0) & (wanted > 0)
-    c = jnp.where(some, s.ka / jnp.where(some, wanted, 1), 1)
-    brightest = jnp.max(s.color, axis=1)
-    most = jnp.where(brightest > 0, 1 / jnp.where(brightest > 0, brightest, 1), 1)
-    c = jnp.clip(c, jnp.maximum(s.kd, s.ka), most)
-    c = jnp.where(c > 0, c, 1)
-    within = lambda x: jnp.clip(x, 0, 1)  # against the last bit of rounding
-    return eqx.tree_at(
-        lambda f: (f.spheres.color, f.spheres.ka, f.spheres.kd),
-        fitted,
-        (within(s.color * c[:, None]), within(s.ka / c), within(s.kd / c)),
-    )

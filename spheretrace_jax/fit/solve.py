@@ -1,37 +1,35 @@
 """From a scene and a picture to the scene that looks like the picture."""
 
 import warnings
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, ArrayLike, Float, PyTree, Scalar
 
 from .._types import Highlight
-from ..errors import SceneWarning
-from ..needs import needs
-from ..options import options as render_options
-from ..render import render
-from ..scene import Scene
+from ..errors import InputError, SceneWarning
 from .bounded import BoundedLevenbergMarquardt
-from .parameters import (
-    GEOMETRY,
-    Values,
-    bounds,
-    check_free,
-    check_present,
-    hold_ka,
-    length_scales,
-    to_scene,
-    to_solver,
-)
-from .residual import make_target
+from .gauge import GAUGES, Gauge, settle
+from .identify import Identifiability, identify
+from .normal import Normal
+from .parameters import GEOMETRY
+from .problem import Problem, compress, compressed_residual, make_problem
+from .start import propose
+from .target import Loss
+from .trust import Trust, explains, judge
+from .uncertainty import Uncertainty, estimate
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
+
+# Robust losses need the noise, which is estimated again after each fit, at most so often.
+_MOST_ROUNDS = 6
 
 
 class Progress(eqx.Module):
@@ -39,21 +37,36 @@ class Progress(eqx.Module):
 
     step: int
     max_steps: int
-    cost: float
-    scene: Scene  #: the best one so far
+    cost: float  #: the least so far
+    damping: float  #: of the step that was tried, in units of the solver's first
+    scene: Any  #: the best one so far, a list of them where there are several pictures
 
 
 class Fit(eqx.Module):
-    """What a fit found."""
+    """What a fit found, and what is to be thought of it."""
 
-    scene: Scene  #: the best scene found
+    scenes: list  #: the best scenes found, one for each picture
+    exposures: list[Float[Array, " 3"]]  #: what each picture is multiplied by, per channel
     result: optx.RESULTS  #: whether the solver converged; a readable message if not
     steps: int  #: evaluations of the picture and its Jacobian
-    cost: float  #: half the sum of the squared residuals at `scene`
+    cost: float  #: half the sum of the squared residuals
     costs: tuple[float, ...]  #: the least cost so far, after every step
-    left_out: int  #: how many of the target's numbers are clipped and do not count
+    left_out: int  #: how many of the targets' numbers do not count: clipped, masked or too dark
     counted: int  #: how many do
-    interrupted: bool  #: whether the user stopped it: `scene` is the best so far
+    interrupted: bool  #: whether the user stopped it: the scene is the best so far
+    problem: Problem
+    values: PyTree  #: the unknowns at the solution
+    noise_given: bool  #: whether residuals are multiples of a known noise
+
+    @property
+    def scene(self):
+        """The best scene found; of several pictures the first one's."""
+        return self.scenes[0]
+
+    @property
+    def exposure(self) -> Float[Array, " 3"]:
+        """What the picture is multiplied by, per channel; 1 unless it is free."""
+        return self.exposures[0]
 
     @property
     def result_message(self) -> str:
@@ -65,15 +78,44 @@ class Fit(eqx.Module):
         """Whether no better scene is within the tolerance."""
         return bool(self.result == optx.RESULTS.successful)
 
+    @cached_property
+    def normal(self) -> Normal:
+        """The normal equations at the solution."""
+        return _normal(self.problem, self.values)
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """What the pictures determine, and in words what they do not."""
+        return identify(self.uncertainty, self.normal)
+
+    @cached_property
+    def uncertainty(self) -> Uncertainty:
+        """How well the pictures determine it."""
+        return estimate(self.problem, self.values, self.normal, 1.0 if self.noise_given else None)
+
+    @cached_property
+    def trust(self) -> Trust:
+        """Whether the result is what it seems to be."""
+        return judge(self)
+
 
 def fit(
-    scene: Scene,
-    target: ArrayLike,
+    scene,
+    target,
     *,
     free: Sequence[str] = DEFAULT_FREE,
+    own: Sequence[str] = (),
     highlight: Highlight = "phong",
     bounces: int = 5,
     samples: int = 1,
+    mask: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
+    darkest: float | None = None,
+    loss: Loss = "square",
+    start: Literal["scene", "auto"] = "scene",
+    gauge: Gauge = "ka",
+    jacobian: Literal["structured", "dense"] = "structured",
     solver: optx.AbstractLeastSquaresSolver | None = None,
     max_steps: int = 100,
     rtol: float | None = None,
@@ -83,115 +125,277 @@ def fit(
 ) -> Fit:
     """Finds the scene whose picture is nearest to `target`, starting from `scene`.
 
-    Levenberg-Marquardt (Optimistix) on the difference of the pictures. What is not free stays as
-    it is. Colours and coefficients stay in 0..1, exponents stay positive. Multiplying color by c
-    and dividing ka and kd by c changes no picture: where all three are free, ka is kept at its
-    start where the bounds allow it.
+    Levenberg-Marquardt (Optimistix) on the normal equations of the difference of the pictures,
+    which are summed up in one pass without the Jacobian. What is not free stays as it is. Colours
+    and coefficients stay in 0..1, exponents stay positive. What the picture does not determine
+    does not move from the start.
 
     **Arguments:**
 
-    - `scene`: the start; it also fixes the dtype of the fit. 1e-8 needs float64.
-    - `target`: linear RGB of shape `(height, width, 3)`. Numbers at 1 in a picture without
-      brighter ones are clipped, as in 8- and 16-bit files, and do not count.
+    - `scene`: the start; it also fixes the dtype of the fit. 1e-8 needs float64. For several
+      pictures of one world a list of scenes that differ in their lights or cameras.
+    - `target`: linear RGB of shape `(height, width, 3)`; as many as there are scenes. Numbers at 1
+      in a picture without brighter ones are clipped, as in 8- and 16-bit files, and do not count.
     - `free`: among `color ka kd ks exponent kgr kt center radius` (of all spheres),
-      `light_position light_color` (of all lights) and `theta phi mu distance` (of the camera). An
-      exponent of 0 starts as 0.01. For centers, radii and the camera the scene's antialias flag
-      must be 1, or no derivative tells how edges move.
+      `light_position light_color` (of all lights), `theta phi mu distance` (of the camera) and
+      `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For
+      centers, radii and the camera the scene's antialias flag must be 1, or no derivative tells
+      how edges move.
+    - `own`: which of these each picture has of its own, among those of lights and camera; what
+      starts differently must be named here. The exposure always is.
     - `highlight`, `bounces`, `samples`: as for `render`.
-    - `solver`: any Optimistix solver of the Gauss-Newton family, by default Levenberg-Marquardt
-      with bounds.
+    - `mask`: bool of shape `(height, width)` or `(height, width, 3)`: which numbers count.
+    - `weights`: what each number counts, at least 0.
+    - `noise`: the standard deviation of the target's numbers; residuals and cost are then
+      multiples of it.
+    - `darkest`: numbers up to this are under-exposed and do not count. 0 leaves out what is black.
+    - `loss`: `"square"`; `"huber"` or `"cauchy"` for targets with outliers, in units of the noise,
+      which is estimated from the residuals if it is not given.
+    - `start`: `"auto"` starts from nothing: of `scene` only the geometry, the number of lights and
+      what is not free are used, and directions all around are tried for the lights.
+    - `gauge`: where color, ka and kd are all free, their common scale does not show: `"ka"` keeps
+      ka at its start where the bounds allow it, `"color"` makes the brightest channel 1, `"none"`
+      leaves what the solver came to.
+    - `jacobian`: `"dense"` hands the solver the residuals of all pixels and their whole Jacobian,
+      for comparison.
+    - `solver`: any Optimistix least-squares solver, by default Levenberg-Marquardt with bounds.
     - `rtol`, `atol`: the solver's tolerances on the unknowns, which are scaled to order one, and
       on the residuals; by default 1e-10 in float64 and 1e-6 in float32.
     - `throw`: raise an error if the solver does not converge.
     - `callback`: called with a `Progress` after each step.
+
+    With several pictures `mask`, `weights` and `noise` are lists, or one value for all.
 
     **Returns:** a `Fit`. A KeyboardInterrupt between two steps ends the fit with the best scene
     so far.
 
     **Raises:** `InputError` (a `ValueError`) for unusable targets and names.
     """
-    free = tuple(free)
-    check_free(free)
-    check_present(scene, free)
+    problem = make_problem(
+        scene, target, tuple(free), tuple(own), highlight, bounces, samples,
+        mask=mask, weights=weights, noise=noise, darkest=darkest, loss=loss,
+    )  # fmt: skip
     edges = [name for name in free if name in GEOMETRY]
-    if edges and not scene.antialias:
+    if edges and not all(p.scene.antialias for p in problem.parameters):
         warnings.warn(
-            f"{', '.join(edges)} free: a picture of single rays has no derivative where edges "
+            f"{_geometry(free)} free: a picture of single rays has no derivative where edges "
             "move; set antialias to 1",
             SceneWarning,
             stacklevel=2,
         )
-    goal = make_target(target, scene.dtype)
-    height, width, _ = goal.image.shape
-    wanted = needs(scene, free=free)
-    # complains before anything is compiled
-    render_options(scene, width, height, highlight, bounces, samples, wanted)
-    draw = partial(
-        render, width=width, height=height, highlight=highlight, bounces=bounces, samples=samples,
-        needs=wanted,
-    )  # fmt: skip
-    scales = length_scales(scene)
-
-    def residual(values: Values, args: tuple) -> tuple[Array, None]:
-        scene, scales, goal = args
-        return goal.residual(draw(to_scene(scene, values, scales))), None
-
-    tolerance = 1e-10 if scene.dtype == jnp.float64 else 1e-6
+    if gauge not in GAUGES:
+        raise InputError(f"gauge must be one of {', '.join(GAUGES)}, got {gauge!r}")
+    tolerance = 1e-10 if problem.dtype == jnp.float64 else 1e-6
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
-    values = to_solver(scene, free, scales)
-    if solver is None:
-        solver = BoundedLevenbergMarquardt(rtol, atol, *bounds(values), cautious=bool(edges))
-    run = _Run(solver, residual, (scene, scales, goal), rtol + atol)
-    values, result, interrupted = run.solve(values, max_steps, callback)
-    if throw and not interrupted and result != optx.RESULTS.successful:
-        raise RuntimeError(f"the fit did not converge: {optx.RESULTS[result]}")
-    fitted = hold_ka(to_scene(scene, values, scales), scene, free)
-    counted = int(jnp.sum(goal.counts))
-    return Fit(
-        scene=fitted,
-        result=result,
-        steps=len(run.costs),
-        cost=run.costs[-1] if run.costs else float("nan"),
-        costs=tuple(run.costs),
-        left_out=goal.counts.size - counted,
-        counted=counted,
-        interrupted=interrupted,
-    )
+    best = None
+    for begin in _starts(problem, start):
+        if solver is None:
+            method = BoundedLevenbergMarquardt(rtol, atol, *begin.bounds(), cautious=bool(edges))
+        else:
+            method = solver
+        run = _Run(method, jacobian == "dense", rtol + atol, max_steps, callback)
+        found = run.fit(begin, gauge, noise)
+        if best is None or not found.cost >= best.cost:
+            best = found
+        if found.interrupted or (found.converged and explains(found.problem, found.values)):
+            break
+    assert best is not None
+    if throw and not best.interrupted and not best.converged:
+        raise RuntimeError(f"the fit did not converge: {best.result_message}")
+    return best
+
+
+def _geometry(free: Sequence[str]) -> str:
+    return ", ".join(name for name in free if name in GEOMETRY)
+
+
+def _starts(problem: Problem, start: str) -> Iterator[Problem]:
+    """The problem from each of the starts that are to be tried."""
+    if start not in ("scene", "auto"):
+        raise InputError(f"start must be scene or auto, got {start!r}")
+    free = problem.parameters[0].free
+    if start == "scene":
+        yield problem
+        return
+    if GEOMETRY & set(free):
+        raise InputError(f"a start from nothing needs the geometry: {_geometry(free)} are free")
+    if not problem.parameters[0].scene.lights:
+        raise InputError("a start from nothing needs lights: how many there are")
+    own = "light_position" in problem.own
+    pictures = zip(problem.parameters, problem.targets, problem.options, strict=True)
+    proposals = [
+        propose(parameters.scene, target, options, free)
+        for parameters, target, options in (pictures if own else [next(pictures)])
+    ]
+    for scenes in zip(*proposals, strict=False):
+        yield problem.starting_at(scenes)
+
+
+@eqx.filter_jit
+def _normal(problem: Problem, values: PyTree) -> Normal:
+    return problem.normal(values)
+
+
+class _Point(eqx.Module):
+    """A compressed residual and its Jacobian at one point."""
+
+    y: Float[Array, " free"]
+    residual: Float[Array, " compressed"]
+    jacobian: Float[Array, "compressed free"]
+
+
+def _linear(values: PyTree, point: _Point) -> tuple[Float[Array, " compressed"], None]:
+    """The residual near a point, to first order: all that a step of the Gauss-Newton family asks
+    for. So the picture's part is compiled once, whatever the solver, and the solver's quickly.
+    """
+    return point.residual + point.jacobian @ (ravel_pytree(values)[0] - point.y), None
+
+
+def _square(values: PyTree, problem: Problem) -> tuple[Scalar, None]:
+    """The cost, for solvers that minimise."""
+    return jnp.sum(compressed_residual(values, problem) ** 2) / 2, None
+
+
+def _full(values: PyTree, problem: Problem) -> tuple[Float[Array, " numbers"], None]:
+    return problem.residual(values), None
+
+
+@eqx.filter_jit
+def _point(normal: Normal, values: PyTree) -> _Point:
+    return _Point(ravel_pytree(values)[0], *compress(normal))
+
+
+@eqx.filter_jit
+def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
+    shape, _ = jax.eval_shape(fn, values, args)
+    return solver.init(fn, values, args, _options(fn), shape, None, frozenset())
+
+
+def _options(fn: Callable) -> dict[str, str]:
+    # as a matrix, not as a function that would be another for each fit and be compiled again
+    return {"jac": "bwd"} if fn is _linear else {}
+
+
+@eqx.filter_jit
+def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> tuple:
+    values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())
+    return values, state
 
 
 class _Run:
     """Steps a solver from the host, so that a fit shows its progress and can be interrupted."""
 
-    def __init__(self, solver: Any, residual: Callable, args: tuple, tolerance: float):
-        self.solver, self.residual, self.args, self.tolerance = solver, residual, args, tolerance
+    def __init__(
+        self, solver: Any, dense: bool, tolerance: float, max_steps: int, callback: Callable | None
+    ):
+        self.solver, self.tolerance = solver, tolerance
+        self.max_steps, self.callback = max_steps, callback
         self.costs: list[float] = []
+        self.result, self.interrupted = optx.RESULTS.nonlinear_max_steps_reached, False
+        self.fn = _square if isinstance(solver, optx.AbstractMinimiser) else _linear
+        if dense:
+            self.fn = _full
 
-    def solve(self, values: Values, max_steps: int, callback: Callable | None):
-        """**Returns:** the best values, the solver's result, and whether it was interrupted."""
-        problem: dict[str, Any] = dict(fn=self.residual, options={}, tags=frozenset())
-        step = eqx.filter_jit(eqx.Partial(self.solver.step, **problem))
-        problem["args"] = self.args
-        shape, _ = jax.eval_shape(self.residual, values, self.args)
-        state = self.solver.init(y=values, f_struct=shape, aux_struct=None, **problem)
+    @property
+    def converged(self) -> bool:
+        return bool(self.result == optx.RESULTS.successful)
+
+    def fit(self, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
+        """What is found from a problem's start."""
+        values = problem.start()
+        estimated = problem.targets[0].loss != "square" and noise is None
+        for _ in range(_MOST_ROUNDS if estimated else 1):
+            if estimated:
+                before, problem = problem.noise, problem.with_noise_at(values)
+                if self.costs and np.allclose(problem.noise, before, rtol=0.02):
+                    break
+            values = self.solve(problem, values)
+            if self.interrupted or not self.converged:
+                break
+        else:
+            if self.converged and not self.interrupted:
+                values = self._past_shadows(problem, values)
+        values = settle(problem, values, gauge)
+        placed = problem.place(values)
+        counted = sum(t.counted for t in problem.targets)
+        return Fit(
+            scenes=[scene for scene, _ in placed],
+            exposures=[exposure for _, exposure in placed],
+            result=self.result,
+            steps=len(self.costs),
+            cost=self.costs[-1] if self.costs else float("nan"),
+            costs=tuple(self.costs),
+            left_out=sum(t.image.size for t in problem.targets) - counted,
+            counted=counted,
+            interrupted=self.interrupted,
+            problem=problem,
+            values=values,
+            noise_given=noise is not None,
+        )
+
+    def _past_shadows(self, problem: Problem, values: PyTree) -> PyTree:
+        """A second look where single rays may hold a light on the wrong side of a shadow's edge.
+
+        As the edge moves, such a picture jumps from pixel to pixel, without a derivative. The few
+        pixels that fit worst are left out once; where the others lead is kept if it is better.
+        """
+        shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
+        if not shadows or "light_position" not in values or explains(problem, values):
+            return values
+        cost, before, result = self.costs[-1], len(self.costs), self.result
+        elsewhere = self.solve(problem.without_worst_at(values), values)
+        without = len(self.costs)
+        if self.converged and not self.interrupted:
+            elsewhere = self.solve(problem, elsewhere)
+        better = self.converged and len(self.costs) > without and self.costs[-1] < cost
+        # what is reported is the least cost so far, of all that counts
+        after = [min(cost, c) for c in self.costs[without:]] if better else []
+        self.costs[before:] = [cost] * (len(self.costs) - before - len(after)) + after
+        self.result = self.result if better else result
+        return elsewhere if better else values
+
+    def solve(self, problem: Problem, values: PyTree) -> PyTree:
+        """**Returns:** the best values, also if it is interrupted."""
+        self.result = optx.RESULTS.nonlinear_max_steps_reached
         try:
-            for number in range(max_steps):
-                values, state, _ = step(y=values, args=self.args, state=state)
-                self.costs.append(float(0.5 * jnp.sum(state.f_info.residual**2)))
-                if callback is not None:
-                    best = to_scene(self.args[0], values, self.args[1])
-                    callback(Progress(number + 1, max_steps, self.costs[-1], best))
-                if not jnp.isfinite(self.costs[-1]):
-                    return values, optx.RESULTS.nonfinite, False
-                done, result = self.solver.terminate(y=values, state=state, **problem)
+            args = self._args(problem, values)
+            state = _init(self.solver, self.fn, args, values)
+            while len(self.costs) < self.max_steps:
+                values, state = _step(self.solver, self.fn, args, values, state)
+                self.costs.append(float(state.f_info.as_min()))
+                self._tell(problem, values, state)
+                if not np.isfinite(self.costs[-1]):
+                    self.result = optx.RESULTS.nonfinite
+                    break
+                done, result = self.solver.terminate(
+                    self.fn, values, args, _options(self.fn), state, frozenset()
+                )
                 if done or self._at_rest(values, state):
-                    return values, result, False
+                    self.result = result
+                    break
+                args = self._args(problem, state.y_eval)
         except KeyboardInterrupt:
-            return values, optx.RESULTS.nonlinear_max_steps_reached, True
-        return values, optx.RESULTS.nonlinear_max_steps_reached, False
+            self.interrupted = True
+        return values
 
-    def _at_rest(self, values: Values, state: Any) -> bool:
+    def _args(self, problem: Problem, values: PyTree) -> Any:
+        """What the residual function needs at the next point to look at."""
+        if self.fn is not _linear:
+            return problem
+        return _point(_normal(problem, values), values)
+
+    def _tell(self, problem: Problem, values: PyTree, state: Any) -> None:
+        if self.callback is None:
+            return
+        scenes = [scene for scene, _ in problem.place(values)]
+        size = float(getattr(state.search_state, "step_size", 1.0))
+        damping = 1 / size if size else float("inf")
+        best = scenes[0] if len(scenes) == 1 else scenes
+        self.callback(Progress(len(self.costs), self.max_steps, self.costs[-1], damping, best))
+
+    def _at_rest(self, values: PyTree, state: Any) -> bool:
         """Whether only steps below the tolerance are left, none of which lowers the cost."""
-        if state.num_steps_since_acceptance < 2:
+        if getattr(state, "num_steps_since_acceptance", 0) < 2:
             return False
         moves = jax.tree.map(
             lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), state.y_eval, values

@@ -1,0 +1,38 @@
+"""What no picture determines, fixed by a rule: color times c, with ka and kd divided by c."""
+
+from typing import Literal, get_args
+
+import jax.numpy as jnp
+from jaxtyping import PyTree
+
+from .problem import Problem
+
+Gauge = Literal["ka", "color", "none"]
+
+GAUGES = get_args(Gauge)
+
+
+def settle(problem: Problem, values: PyTree, gauge: Gauge) -> PyTree:
+    """Of all scenes that look the same the one that a rule picks.
+
+    Only where color, ka and kd are all free. `"ka"`: the one whose ka is the start's, or, where
+    color or kd would leave 0..1 then, the nearest to it; `"color"`: the one whose brightest
+    channel is 1, or as near as ka and kd allow; `"none"`: this one.
+    """
+    if gauge == "none" or not {"color", "ka", "kd"} <= set(values):
+        return values
+    natural = problem.parameters[0].natural({n: values[n] for n in ("color", "ka", "kd")})
+    color, ka, kd = natural["color"], natural["ka"], natural["kd"]
+    brightest = jnp.max(color, axis=1)
+    most = jnp.where(brightest > 0, 1 / jnp.where(brightest > 0, brightest, 1), 1)
+    c = most
+    if gauge == "ka":
+        wanted = problem.parameters[0].scene.spheres.ka
+        some = (ka > 0) & (wanted > 0)
+        c = jnp.where(some, ka / jnp.where(some, wanted, 1), 1)
+    # ka and kd divided by c stay in 0..1, and so does color times c
+    c = jnp.clip(c, jnp.maximum(kd, ka), most)
+    c = jnp.where(c > 0, c, 1)
+    within = lambda x: jnp.clip(x, 0, 1)  # against the last bit of rounding
+    same = {"color": within(color * c[:, None]), "ka": within(ka / c), "kd": within(kd / c)}
+    return {**values, **same}

@@ -1,0 +1,228 @@
+"""`Problem`: the least-squares problem of a fit, for one picture or for several of one world."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, ArrayLike, Float, PyTree
+
+from .._types import Highlight, Picture
+from ..errors import InputError
+from ..needs import needs
+from ..options import Options, options as render_options
+from ..render import draw
+from ..scene import Scene
+from .layout import Layout
+from .normal import Normal, normal_equations
+from .parameters import CAMERA, LIGHTS, PLACES, Parameters, check_free, check_present, value
+from .target import Target, make_target
+
+
+class Problem(eqx.Module):
+    """Pictures to fit, the scenes to start from and what is free.
+
+    The unknowns are a dict `name -> array` of dimensionless numbers (`parameters.py`), a list of
+    arrays, one for each picture, for what each picture has of its own.
+    """
+
+    parameters: tuple[Parameters, ...]  #: one for each picture
+    targets: tuple[Target, ...]
+    options: tuple[Options, ...]
+    own: frozenset[str] = eqx.field(static=True)  #: the names of what each picture has of its own
+
+    def start(self) -> PyTree:
+        """The unknowns at the start."""
+        starts = [p.start() for p in self.parameters]
+        return {
+            name: [s[name] for s in starts] if name in self.own else shared
+            for name, shared in starts[0].items()
+        }
+
+    def bounds(self) -> tuple[PyTree, PyTree]:
+        """The least and the greatest that the unknowns may be."""
+        bounds = [p.bounds() for p in self.parameters]
+
+        def gather(side: int) -> PyTree:
+            return {
+                name: [b[side][name] for b in bounds] if name in self.own else shared
+                for name, shared in bounds[0][side].items()
+            }
+
+        return gather(0), gather(1)
+
+    def of_picture(self, values: PyTree, k: int) -> dict:
+        """The unknowns that picture k depends on."""
+        return {name: y[k] if name in self.own else y for name, y in values.items()}
+
+    def place(self, values: PyTree) -> list[tuple[Scene, Float[Array, " 3"]]]:
+        """Each picture's scene and exposure."""
+        return [p.place(self.of_picture(values, k)) for k, p in enumerate(self.parameters)]
+
+    def residual(self, values: PyTree) -> Float[Array, " numbers"]:
+        """All pictures' residuals, flat."""
+        pairs = zip(self.targets, self.pictures(values), strict=True)
+        parts = [target.residual(*picture).reshape(-1) for target, picture in pairs]
+        return jnp.concatenate(parts)
+
+    def starting_at(self, scenes: Sequence[Scene]) -> "Problem":
+        """The same from other scenes; from one, if it is the start of all pictures."""
+        if len(scenes) == len(self.parameters):
+            starts = list(scenes)
+        else:
+            first, names = scenes[0], [n for n in self.parameters[0].free if n != "exposure"]
+            at = lambda s: [PLACES[name](s) for name in names]
+            starts = [eqx.tree_at(at, p.scene, at(first)) for p in self.parameters]
+        parameters = tuple(
+            Parameters(s, p.free) for s, p in zip(starts, self.parameters, strict=True)
+        )
+        return eqx.tree_at(lambda p: p.parameters, self, parameters)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The floating dtype of the unknowns."""
+        return self.parameters[0].scene.dtype
+
+    @property
+    def noise(self) -> list[float]:
+        """Each target's noise, as robust losses take it."""
+        return [float(t.noise) for t in self.targets]
+
+    def pictures(self, values: PyTree) -> list[tuple[Picture, Float[Array, " 3"]]]:
+        """Each scene's picture and its exposure."""
+        placed = zip(self.place(values), self.options, strict=True)
+        return [(draw(scene, options), exposure) for (scene, exposure), options in placed]
+
+    def with_noise_at(self, values: PyTree) -> "Problem":
+        """The same, with each target's noise estimated from what is left at some values."""
+        pairs = zip(self.targets, self.pictures(values), strict=True)
+        targets = tuple(target.with_noise_of(*picture) for target, picture in pairs)
+        return eqx.tree_at(lambda p: p.targets, self, targets)
+
+    def without_worst_at(self, values: PyTree) -> "Problem":
+        """The same without the numbers that fit worst at some values."""
+        pairs = zip(self.targets, self.pictures(values), strict=True)
+        targets = tuple(target.without_worst(*picture) for target, picture in pairs)
+        return eqx.tree_at(lambda p: p.targets, self, targets)
+
+    def layout(self, k: int) -> Layout:
+        """Where picture k's free parameters are in its normal equations."""
+        return Layout(self.parameters[k].scene, self.parameters[k].free)
+
+    def normal(self, values: PyTree) -> Normal:
+        """The normal equations by the unknowns, in the order of `ravel_pytree`."""
+        parts = []
+        for k, (scene, exposure) in enumerate(self.place(values)):
+            layout = self.layout(k)
+            part = normal_equations(scene, exposure, self.targets[k], layout, self.options[k])
+            slope = self.slope(values, k)
+            part = Normal(slope.T @ part.square @ slope, slope.T @ part.gradient, part.cost)
+            parts.append(part)
+        return jax.tree.map(lambda *x: sum(x[1:], x[0]), *parts)
+
+    def slope(self, values: PyTree, k: int) -> Float[Array, "natural free"]:
+        """The derivatives of picture k's free parameters, in its layout, by the unknowns."""
+        y, unravel = ravel_pytree(values)
+
+        def natural(y: Float[Array, " free"]) -> Float[Array, " natural"]:
+            parts = self.parameters[k].natural(self.of_picture(unravel(y), k))
+            return jnp.concatenate([parts[n].reshape(-1) for n in self.parameters[k].free])
+
+        return jax.jacfwd(natural)(y)
+
+
+@jax.custom_jvp
+def compressed_residual(values: PyTree, problem: Problem) -> Float[Array, " compressed"]:
+    """One number more than there are unknowns, with the cost and the Gauss-Newton step of all.
+
+    With J^T J = R^T R the residual is (R^-T J^T r, sqrt(r.r - |R^-T J^T r|^2)) and its Jacobian
+    (R, 0): least-squares solvers see the same cost, gradient and J^T J, and never the picture's
+    J. Along what the picture does not determine R is 0.
+    """
+    return compress(problem.normal(values))[0]
+
+
+@compressed_residual.defjvp
+def _compressed_jvp(primals, tangents):
+    residual, jacobian = compress(primals[1].normal(primals[0]))
+    step, _ = ravel_pytree(tangents[0])
+    return residual, jacobian @ step
+
+
+def compress(
+    normal: Normal,
+) -> tuple[Float[Array, " compressed"], Float[Array, "compressed free"]]:
+    """The compressed residual and its Jacobian."""
+    n = normal.gradient.size
+    scale = jnp.sqrt(jnp.diag(normal.square))
+    scale = jnp.where(scale > 0, scale, 1)
+    values, vectors = jnp.linalg.eigh(normal.square / scale[:, None] / scale[None, :])
+    known = values > n * jnp.finfo(values.dtype).eps * jnp.max(values)
+    root = jnp.sqrt(jnp.where(known, values, 1))
+    # the symmetric root: another would turn with every rounding, and seem to move
+    factor = vectors @ (jnp.where(known, root, 0)[:, None] * vectors.T) * scale[None, :]
+    residual = vectors @ jnp.where(known, vectors.T @ (normal.gradient / scale) / root, 0)
+    rest = jnp.sqrt(jnp.maximum(2 * normal.cost - residual @ residual, 0))
+    return jnp.append(residual, rest), jnp.pad(factor, ((0, 1), (0, 0)))
+
+
+def make_problem(
+    scene: Scene | Sequence[Scene],
+    target: ArrayLike | Sequence[ArrayLike],
+    free: tuple[str, ...],
+    own: tuple[str, ...],
+    highlight: Highlight,
+    bounces: int,
+    samples: int,
+    **counts: Any,
+) -> Problem:
+    """Checks what a user asks for. **Arguments:** as for `fit`; `counts`: as for `make_target`."""
+    check_free(free)
+    scenes = [scene] if isinstance(scene, Scene) else list(scene)
+    several = not isinstance(scene, Scene)
+    images = list(target) if several else [target]
+    if len(scenes) != len(images) or not scenes:
+        raise InputError(
+            f"there must be one target for each scene, got {len(scenes)} scenes and "
+            f"{len(images)} targets"
+        )
+    for one in scenes:
+        check_present(one, free)
+    own_names = frozenset(own) | ({"exposure"} & set(free) if several else set())
+    _check_own(scenes, free, own_names)
+    targets, options = [], []
+    for k, (one, image) in enumerate(zip(scenes, images, strict=True)):
+        pick: Callable[[Any], Any] = lambda x: (
+            x[k] if isinstance(x, list | tuple) and len(x) == len(scenes) else x
+        )
+        goal = make_target(image, one.dtype, **{name: pick(x) for name, x in counts.items()})
+        height, width, _ = goal.image.shape
+        wanted = needs(one, free=[name for name in free if name != "exposure"])
+        options.append(render_options(one, width, height, highlight, bounces, samples, wanted))
+        targets.append(goal)
+    parameters = tuple(Parameters(one, free) for one in scenes)
+    return Problem(parameters, tuple(targets), tuple(options), own_names)
+
+
+def _check_own(scenes: list[Scene], free: tuple[str, ...], own: frozenset[str]) -> None:
+    """**Raises:** `InputError` for scenes of different worlds, and for names that are not free."""
+    possible = {*LIGHTS, *CAMERA, "exposure"}
+    wrong = sorted(own - (possible & set(free)))
+    if wrong:
+        raise InputError(
+            f"own must name free parameters of lights or camera, got {', '.join(wrong)}"
+        )
+    first = scenes[0]
+    for k, other in enumerate(scenes[1:], 2):
+        for part in ("spheres", "planes", "textures"):
+            if not bool(eqx.tree_equal(getattr(first, part), getattr(other, part))):
+                raise InputError(f"scene {k} has other {part} than the first: they must be equal")
+        for name in sorted((possible - {"exposure"}) & set(free) - own):
+            if not bool(eqx.tree_equal(value(first, name), value(other, name))):
+                raise InputError(
+                    f"{name} is free and starts differently in scene {k}: name it in own, or "
+                    "start all pictures alike"
+                )

@@ -1,0 +1,88 @@
+"""The rows of a picture's Jacobian, a few pixels at a time, from the picture's own code.
+
+Each pixel is given tables of its own (`world.Own`) and lights of its own, by which the reverse pass
+differentiates, once per channel. The camera, on which every pixel depends through few numbers, is
+differentiated forwards.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..scene import Scene
+from ..vec import Vec
+from ..world import Own, World, build_world
+from .layout import Layout
+from .parameters import CAMERA, LIGHTS, SPHERES
+
+Rows = Float[Array, "columns 3 pixels"]
+
+#: Where the spheres' parameters are in the tables that pixels have of their own.
+_OWN = {
+    "color": lambda own: own.materials.color,
+    "ka": lambda own: own.materials.ka,
+    "kd": lambda own: own.materials.kd,
+    "ks": lambda own: own.materials.ks,
+    "exponent": lambda own: own.materials.exponent,
+    "kgr": lambda own: own.materials.kgr,
+    "kt": lambda own: own.materials.kt,
+    "center": lambda own: own.balls.center,
+    "radius": lambda own: own.balls.radius,
+}
+assert set(_OWN) == set(SPHERES)
+
+
+def jacobian_rows(
+    see: Callable[[Scene, World], Vec],
+    scene: Scene,
+    world: World,
+    own: Own,
+    layout: Layout,
+    count: int,
+) -> Rows:
+    """The derivatives of what some pixels see by what is free.
+
+    **Arguments:** `see`: from a scene to the colours, planes of shape `(count,)`. `own`: the
+    objects that pixels may show, of shape `(objects,)`.
+
+    **Returns:** columns for the spheres' parameters, in the layout's order of names, row by row
+    of `own`, then those of the lights and the camera.
+    """
+    spread = lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count))
+    rows = []
+    if layout.spheres or layout.lights:
+        own = jax.tree.map(spread, own)
+        at_own = lambda own: [_OWN[name](own) for name in layout.spheres]
+        at_lights = lambda scene: [LIGHTS[name](scene) for name in layout.lights]
+
+        def reverse(columns: list, lights: list) -> Vec:
+            scene_, world_ = scene, world
+            if columns:
+                own_ = eqx.tree_at(at_own, own, columns)
+                world_ = eqx.tree_at(lambda w: w.own, world, own_, is_leaf=lambda x: x is None)
+            if lights:
+                scene_ = eqx.tree_at(at_lights, scene, lights)
+            return see(scene_, world_)
+
+        lights = [spread(light) for light in at_lights(scene)]
+        _, pull = jax.vjp(reverse, at_own(own), lights)
+        one = spread(jnp.eye(3, dtype=scene.dtype))
+        columns, lights = jax.vmap(pull, out_axes=-2)(Vec(one[0], one[1], one[2]))
+        n = len(scene.spheres)
+        # of colours and centres the three parts side by side; planes have no free parameters
+        parts = [jnp.stack(jax.tree.leaves(c), axis=1)[: max(n, 1)] for c in columns]
+        rows += [part.reshape(-1, 3, count) for part in (*parts, *lights)]
+    if layout.camera:
+        at_camera = lambda scene: [CAMERA[name](scene) for name in layout.camera]
+
+        def forward(values: list) -> Vec:
+            scene_ = eqx.tree_at(at_camera, scene, values)
+            return see(scene_, build_world(scene_))
+
+        _, push = jax.linearize(forward, at_camera(scene))
+        moved = jax.vmap(push)(list(jnp.eye(len(layout.camera), dtype=scene.dtype)))
+        rows.append(jnp.stack([moved.x, moved.y, moved.z], axis=1))
+    return jnp.concatenate(rows)

@@ -1,0 +1,116 @@
+"""Whether a fit is what it seems to be: converged, inside its bounds, explaining the picture."""
+
+import equinox as eqx
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+from .._types import Picture
+from .problem import Problem
+from .reasons import names_of
+from .target import Target
+
+# A residual whose neighbours agree is no noise: of this part of the picture, or of 8-bit ones of
+# that, it says that the scene does not explain the picture.
+_UNEXPLAINED, _UNEXPLAINED_8_BIT = 1e-3, 1e-2
+
+
+class Trust(eqx.Module):
+    """What to think of a fit."""
+
+    ok: bool  #: converged, and explains the picture
+    verdict: str  #: one sentence
+    remarks: tuple[str, ...]  #: numbers at their bounds, what is not determined
+    unexplained: float  #: the structured part of the residual, as a part of the picture
+
+    def __str__(self) -> str:
+        return "\n".join([self.verdict, *self.remarks])
+
+
+def judge(fit) -> Trust:
+    """What to think of a `Fit`."""
+    parts = _unexplained(fit.problem, fit.values)
+    worst = int(np.argmax([part for part, _, _ in parts]))
+    unexplained, where, limit = parts[worst]
+    explains = unexplained <= limit
+    misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
+    left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
+    if fit.interrupted:
+        end = "interrupted: the best scene so far"
+    elif not fit.converged:
+        end = f"NOT converged ({fit.result_message.split('.')[0].strip()})"
+    elif not explains:
+        picture = f" {worst + 1}" if len(fit.scenes) > 1 else ""
+        end = f"converged, but does NOT explain picture{picture}: {unexplained:.1%} left, {where}"
+    else:
+        end = "converged"
+    verdict = f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
+    known = fit.identifiability
+    bounds = _at_bounds(fit)
+    remarks = [f"at its bound: {', '.join(bounds)}"] if bounds else []
+    return Trust(
+        ok=fit.converged and not fit.interrupted and explains,
+        verdict=verdict,
+        remarks=(*remarks, *known.undetermined, *known.weak),
+        unexplained=unexplained,
+    )
+
+
+def explains(problem: Problem, values: PyTree) -> bool:
+    """Whether some values explain the pictures."""
+    return all(part <= limit for part, _, limit in _unexplained(problem, values))
+
+
+def _at_bounds(fit) -> list[str]:
+    y, _ = ravel_pytree(fit.values)
+    least, most = (ravel_pytree(b)[0] for b in fit.problem.bounds())
+    at = np.asarray((y <= least) | (y >= most))
+    names = names_of(fit.problem)
+    return list(dict.fromkeys(names[i] for i in np.flatnonzero(at)))
+
+
+def _unexplained(problem: Problem, values: PyTree) -> list[tuple[float, str, float]]:
+    """Of each picture the structured part of its residual, where most of it is, and how much is
+    too much.
+    """
+    pairs = zip(problem.targets, problem.pictures(values), strict=True)
+    return [_structure(target, *picture) for target, picture in pairs]
+
+
+def _structure(
+    target: Target, picture: Picture, exposure: Float[Array, " 3"]
+) -> tuple[float, str, float]:
+    """What of a residual is no noise, whose numbers agree with no neighbours and have no outliers.
+
+    The structure is the part of the power that is shared with the right and lower neighbours, and
+    that of numbers beyond six standard deviations, as the median has them.
+    """
+    residual = np.asarray(target.residual(picture, exposure), np.float64)
+    counts = np.asarray(target.weight) > 0
+    shared, power, pairs = 0.0, 0.0, 0
+    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        both = counts[a] & counts[b]
+        shared += np.sum(residual[a] * residual[b] * both)
+        power += np.sum((residual[a] ** 2 + residual[b] ** 2) * both) / 2
+        pairs += np.sum(both)
+    share = shared / power - 4 / np.sqrt(pairs) if power > 0 else 0.0
+    square = residual[counts] ** 2
+    outliers = np.where(square > 36 * 1.4826**2 * np.median(square), square, 0)
+    structure = max(share, 0) * np.mean(square) + np.mean(outliers)
+    weighted = np.asarray(target.image * target.weight, np.float64)[counts]
+    size = np.sqrt(np.mean(weighted**2)) or 1.0
+    row, column = np.unravel_index(_smooth(residual).argmax(), residual.shape[:2])
+    coarse = len(np.unique(np.asarray(target.image))) <= 256
+    return (
+        float(np.sqrt(structure) / size),
+        f"most of it near column {column}, row {row}",
+        _UNEXPLAINED_8_BIT if coarse else _UNEXPLAINED,
+    )
+
+
+def _smooth(residual: np.ndarray) -> np.ndarray:
+    """The residual's power, averaged over a pixel and its eight neighbours."""
+    power = np.pad(np.sum(residual**2, axis=-1), 1)
+    height, width = residual.shape[:2]
+    near = [power[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+    return np.sum(near, axis=0)
