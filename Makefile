@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow bench bench-edges lint references clean
+.PHONY: demo test test-slow bench bench-edges bench-fit lint references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
@@ -22,6 +22,10 @@ bench: $(READY)
 # pictures, derivatives and cost of covered edges; about twenty minutes
 bench-edges: $(READY)
 	$(BIN)/python tests/bench/edges.py
+
+# time, error and recovery of fits; about an hour
+bench-fit: $(READY)
+	$(BIN)/python tests/bench/fit.py
 
 lint: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[lint]'

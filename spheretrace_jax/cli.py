@@ -79,7 +79,8 @@ class FitCommand:
     """Find the scene that looks like a picture, starting from SCENE.
 
     SCENE holds what is known (geometry, camera) and the first guess of what is free. Writes the
-    best scene, also when it is interrupted. Exit status 1: the fit did not converge.
+    best scene, also when it is interrupted, and says what TARGET does not determine. Exit status
+    1: the fit did not converge, or what it found does not explain TARGET.
     """
 
     scene: SceneFile
@@ -101,6 +102,26 @@ class FitCommand:
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
     ] = "auto"
+    mask: Annotated[
+        Path | None,
+        arg(metavar="IMAGE", help="a picture that is black where TARGET does not count"),
+    ] = None
+    darkest: Annotated[
+        float | None, arg(metavar="X", help="numbers of TARGET up to this do not count")
+    ] = None
+    noise: Annotated[
+        float | None, arg(metavar="X", help="the standard deviation of TARGET's numbers")
+    ] = None
+    loss: Annotated[
+        Literal["square", "huber", "cauchy"], arg(help="huber and cauchy bear outliers")
+    ] = "square"
+    start: Annotated[
+        Literal["scene", "auto"], arg(help="auto: of SCENE use only what is not free")
+    ] = "scene"
+    gauge: Annotated[
+        Literal["ka", "color", "none"],
+        arg(help="of scenes that look the same: ka as in SCENE, color as bright as can be, or any"),
+    ] = "ka"
     max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps")] = 100
     report: Annotated[
         Path | None, arg(metavar="DIR", help="a folder for pictures, cost curve and a table")
@@ -116,13 +137,22 @@ class FitCommand:
         scene = load_scene(self.scene, self.dtype)
         target = read_image(self.target, self.colorspace)
         settings = dict(highlight=self.highlight, bounces=self.bounces, samples=self.samples)
-        found = _fit_with_progress(scene, target, free=free, max_steps=self.max_steps, **settings)
+        found = _fit_with_progress(
+            scene, target, free=free, max_steps=self.max_steps, mask=self._mask(),
+            darkest=self.darkest, noise=self.noise, loss=self.loss, start=self.start,
+            gauge=self.gauge, **settings,
+        )  # fmt: skip
         save_scene(self.output, found.scene)
         print(f"{self.output}: {found.trust}")
         if self.report is not None:
             for file in _report(self.report, found, scene, target, free, settings):
                 print(file)
         return 130 if found.interrupted else 0 if found.trust.ok else 1
+
+    def _mask(self):
+        from . import read_image
+
+        return None if self.mask is None else (read_image(self.mask) > 0).any(axis=-1)
 
 
 @dataclass

@@ -8,6 +8,7 @@ import numpy as np
 from .files.atomic import replacing, write_text
 from .fit import Fit
 from .fit.parameters import value
+from .fit.trust import together
 from .scene import Scene
 
 
@@ -24,7 +25,10 @@ def determined(scene: Scene) -> dict[str, np.ndarray]:
 
 def _remarks(fit: Fit) -> list[str]:
     known = fit.identifiability
-    return [f"{known.rank} of {known.free} free numbers.", *(f"{r}." for r in fit.trust.remarks)]
+    return [
+        f"{known.rank} of {known.free} free numbers.",
+        *(f"{r}." for r in together(fit.trust.remarks)),
+    ]
 
 
 def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:

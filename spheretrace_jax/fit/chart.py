@@ -10,10 +10,14 @@ a bound on one number.
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 # Lights as far as so many times the scene's size are at infinity, as far as a picture can tell.
 _FARTHEST = 1e7
+
+# Lights as near to the middle have no direction in which they could go to infinity.
+_AT_MIDDLE = 1e-10
 
 
 class Chart(eqx.Module):
@@ -25,34 +29,45 @@ class Chart(eqx.Module):
     w: Float[Array, ""]
     axes: Float[Array, "3 3"]  #: unit vectors: two across u, and u's direction
 
+    @property
+    def length(self) -> Float[Array, ""]:
+        """That of u, with a derivative where it is 0."""
+        return self.axes[2] @ self.u
+
     def position(self, y: Float[Array, " 3"]) -> Float[Array, " 3"]:
         """The position that three numbers stand for."""
-        length = jnp.linalg.norm(self.u)
-        along = self.axes[2]
-        u = self.u + self.axes[0] * y[0] + self.axes[1] * y[1] - along * (self.w * y[2])
-        w = jnp.maximum(self.w + length * y[2], 1 / _FARTHEST)
+        u = self.u + self.axes[0] * y[0] + self.axes[1] * y[1] - self.axes[2] * (self.w * y[2])
+        w = self.w + self.length * y[2]
+        # with the slope of w: at the bound, on whichever side rounding puts it, a light without
+        # one would never come back
+        w = jnp.where(w > 1 / _FARTHEST, w, 1 / _FARTHEST + (w - lax.stop_gradient(w)))
         return self.middle + u * (self.size / w)
 
     def least(self) -> Float[Array, " 3"]:
         """The least that the numbers may be: where the light is at infinity."""
-        length = jnp.linalg.norm(self.u)
-        farthest = (1 / _FARTHEST - self.w) / jnp.where(length > 0, length, 1)
-        return jnp.asarray([-jnp.inf, -jnp.inf, 0], self.w.dtype) + jnp.zeros_like(self.u).at[
-            2
-        ].set(jnp.where(length > 0, farthest, -jnp.inf))
+        some = self.length > _AT_MIDDLE
+        farthest = (1 / _FARTHEST - self.w) / jnp.where(some, self.length, 1)
+        free = jnp.full_like(self.w, -jnp.inf)
+        return jnp.stack([free, free, jnp.where(some, farthest, free)])
 
 
 def chart_at(
     position: Float[Array, " 3"], middle: Float[Array, " 3"], size: Float[Array, ""]
 ) -> Chart:
-    """The chart around a position. **Arguments:** `middle`, `size`: of the scene."""
+    """The chart around a position, brought nearer if it is farther than infinity.
+
+    **Arguments:** `middle`, `size`: of the scene.
+    """
     away = (position - middle) / size
-    square = jnp.sum(away**2)
-    w = 1 / jnp.sqrt(1 + square)
-    u = away * w
-    length = jnp.linalg.norm(u)
-    some = length > 0
-    along = jnp.where(some, u / jnp.where(some, length, 1), jnp.eye(3, dtype=u.dtype)[2])
+    reach = jnp.max(jnp.abs(away))
+    # scaled to order one: squares of what is very far or near leave the range of floating numbers
+    scale = jnp.maximum(reach, 1)
+    u, w = away / scale, 1 / scale
+    length = jnp.sqrt(jnp.sum(u**2) + w**2)
+    u, w = u / length, jnp.maximum(w / length, 1 / _FARTHEST)
+    along = away / jnp.where(reach > 0, reach, 1)
+    along = jnp.where(reach > 0, along, jnp.eye(3, dtype=u.dtype)[2])
+    along = along / jnp.linalg.norm(along)
     # the axis that is least along it, made perpendicular
     least = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(along))]
     first = jnp.cross(along, least)

@@ -17,19 +17,20 @@ def settle(problem: Problem, values: PyTree, gauge: Gauge) -> PyTree:
 
     Only where color, ka and kd are all free. `"ka"`: the one whose ka is the start's, or, where
     color or kd would leave 0..1 then, the nearest to it; `"color"`: the one whose brightest
-    channel is 1, or as near as ka and kd allow; `"none"`: this one.
+    channel is 1; `"none"`: this one.
     """
     if gauge == "none" or not {"color", "ka", "kd"} <= set(values):
         return values
     natural = problem.parameters[0].natural({n: values[n] for n in ("color", "ka", "kd")})
     color, ka, kd = natural["color"], natural["ka"], natural["kd"]
     brightest = jnp.max(color, axis=1)
-    most = jnp.where(brightest > 0, 1 / jnp.where(brightest > 0, brightest, 1), 1)
-    c = most
+    most = 1 / jnp.maximum(brightest, jnp.finfo(color.dtype).tiny)
+    c = jnp.where(brightest > 0, most, 1)
     if gauge == "ka":
         wanted = problem.parameters[0].scene.spheres.ka
-        some = (ka > 0) & (wanted > 0)
-        c = jnp.where(some, ka / jnp.where(some, wanted, 1), 1)
+        # a ka above 0 comes nearest to 0 with the brightest colour; one of 0 is 0 with any
+        c = jnp.where(wanted > 0, ka / jnp.where(wanted > 0, wanted, 1), c)
+        c = jnp.where(ka > 0, c, 1)
     # ka and kd divided by c stay in 0..1, and so does color times c
     c = jnp.clip(c, jnp.maximum(kd, ka), most)
     c = jnp.where(c > 0, c, 1)

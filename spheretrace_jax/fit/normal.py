@@ -15,12 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from .._types import Ids, Index, Mask
+from .._types import Ids, Index, Mask, Picture
 from ..options import Options
 from ..paths import Path, shade
-from ..phases import STRIP_PIXELS, keep, nth_marked
 from ..render import (
     area_seen,
     averaged,
@@ -33,15 +32,16 @@ from ..render import (
 )
 from ..scene import Scene
 from ..vec import Vec
-from ..visibility import hit_of, nearest
+from ..visibility import hit_of
 from ..world import Own, World, build_world
 from .layout import Layout
+from .lists import EDGE, MOST, SEVERAL, Lists, sorted_pixels
 from .rows import Rows, jacobian_rows
 from .target import Target
 
-# Pixels that show one object are looked at this many at a time; others so many that their part of
-# the Jacobian has at most so many numbers, 12 MB in float64.
-PIXELS, MOST_NUMBERS = 1 << 12, 1 << 19
+# Of pixels that show several objects so many are looked at at once that their part of the Jacobian
+# has at most so many numbers, 12 MB in float64.
+MOST_NUMBERS = 1 << 19
 
 
 # A pixel and its neighbours left, right, above and below: how far to the right, and down.
@@ -66,50 +66,55 @@ def normal_equations(
     target: Target,
     layout: Layout,
     options: Options,
+    lists: Lists | None = None,
 ) -> Normal:
     """J^T J, J^T r and the cost in one pass over the picture, by the free parameters themselves.
 
     **Arguments:** `exposure`: what the picture is multiplied by, per channel. `layout`: which
-    parameters are free and their order.
+    parameters are free and their order. `lists`: what pixels show, if it is known.
     """
-    world, n = build_world(scene), layout.size
+    world = build_world(scene)
     color, edge = sampled(scene, options)
     picture = averaged(color, edge, options)
     residual = target.residual(picture, exposure)
     by_picture, by_exposure = target.slopes(picture, exposure)
+    if lists is None:
+        lists = sorted_pixels(scene, layout, options, edge)
     listed = lambda v: v.reshape(-1, 3)
     sums = _Sums(
+        lists,
         listed(residual),
         listed(by_picture),
         listed(by_exposure) if layout.exposure is not None else None,
     )
-    normal = Normal(
-        jnp.zeros((n, n), scene.dtype), jnp.zeros(n, scene.dtype), jnp.sum(residual**2) / 2
-    )
-    if layout.exposure is not None:
-        at = layout.exposure
-        own = normal.square.at[at, at].set(jnp.sum(by_exposure**2, axis=(0, 1)))
-        pushed = jnp.sum(by_exposure * residual, axis=(0, 1))
-        normal = Normal(own, normal.gradient.at[at].set(pushed), normal.cost)
-
-    label = _labels(scene, world, layout, options).reshape(-1)
-    several, edge_ = world.spheres + world.planes + 1, edge.reshape(-1)
+    normal = _of_exposure(by_exposure, residual, layout)
     weights = _weights(edge, options, scene.dtype)
-    normal = _add_single(
-        normal, scene, world, sums, jnp.where(edge_, -1, label), layout, options, weights
-    )
+    normal = _add_single(normal, scene, world, sums, layout, options, weights)
     if options.bounces or (options.samples > 1 and not options.antialias):
         look = partial(_near, weights=weights, options=options, look=_through(options))
-        normal = _add_mixed(normal, scene, world, sums, (label == several) & ~edge_, layout, look)
+        normal = _add_mixed(normal, scene, world, sums, SEVERAL, layout, look)
     if options.antialias:
         look = partial(_mean, options=options, look=_over(options))
-        normal = _add_mixed(normal, scene, world, sums, edge_, layout, look)
+        normal = _add_mixed(normal, scene, world, sums, EDGE, layout, look)
     return normal
+
+
+def _of_exposure(by_exposure: Picture, residual: Picture, layout: Layout) -> Normal:
+    """The part of the normal equations that only the exposure has."""
+    n, dtype, cost = layout.size, residual.dtype, jnp.sum(residual**2) / 2
+    normal = Normal(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), cost)
+    if layout.exposure is None:
+        return normal
+    at = layout.exposure
+    square = normal.square.at[at, at].set(jnp.sum(by_exposure**2, axis=(0, 1)))
+    pushed = jnp.sum(by_exposure * residual, axis=(0, 1))
+    return Normal(square, normal.gradient.at[at].set(pushed), cost)
 
 
 class _Sums(eqx.Module):
     """What the rows of a picture's Jacobian are multiplied by, of all pixels."""
 
+    lists: Lists
     residual: Float[Array, "pixels 3"]
     slope: Float[Array, "pixels 3"]  #: its derivative by the picture
     by_exposure: Float[Array, "pixels 3"] | None  #: that by the exposure
@@ -117,40 +122,41 @@ class _Sums(eqx.Module):
     def add(
         self,
         normal: Normal,
-        marked: Bool[Array, " pixels"],
+        label: Index,
         columns: Int[Array, " columns"],
-        rows: Callable[[Ids, Mask], Rows],
+        rows: Callable[[Ids, Mask, Float[Array, "3 pixels"]], Rows],
         layout: Layout,
         count: int,
     ) -> Normal:
-        """Adds the part of the pixels that are marked, `count` at a time.
+        """Adds the part of the pixels of one list, `count` at a time.
 
-        **Arguments:** `rows`: the rows of the Jacobian for some pixels, of which some count.
-        `columns`: which of the free parameters these are; out of bounds: none.
+        **Arguments:** `rows`: the rows of the Jacobian for some pixels, of which some count, times
+        some slopes. `columns`: which of the free parameters these are; out of bounds: none.
         """
-        total, place = nth_marked(marked)
+        begin, end = self.lists.bounds(label)
         numbers = jnp.arange(count, dtype=jnp.int32)
-        at = columns[:, None], columns[None, :]
 
         def some(k: Index, normal: Normal) -> Normal:
-            alive = numbers + k * count < total
-            pixels = jnp.where(alive, place(numbers + k * count), 0)
+            first = begin + k * count
+            alive = first + numbers < end
+            pixels = lax.dynamic_slice(self.lists.order, (first,), (count,))
             take = lambda list_: list_.at[pixels].get(mode="promise_in_bounds").T
             pick = lambda list_: jnp.where(alive[None], take(list_), 0)
-            row = keep(rows(pixels, alive))
-            by = row * pick(self.slope)[None]
-            flat = by.reshape(len(by), -1)
-            square = normal.square.at[at].add(flat @ flat.T, mode="drop")
-            pushed = flat @ pick(self.residual).reshape(-1)
-            gradient = normal.gradient.at[columns].add(pushed, mode="drop")
+            row = rows(pixels, alive, pick(self.slope))
+            # with the residual as one more column all products are one
+            both = jnp.concatenate([row, pick(self.residual)[None]]).reshape(len(row) + 1, -1)
+            products = both @ both.T
+            at = columns[:, None], columns[None, :]
+            square = normal.square.at[at].add(products[:-1, :-1], mode="drop")
+            gradient = normal.gradient.at[columns].add(products[:-1, -1], mode="drop")
             if layout.exposure is not None and self.by_exposure is not None:
-                cross = jnp.sum(by * pick(self.by_exposure)[None], axis=-1)
+                cross = jnp.sum(row * pick(self.by_exposure)[None], axis=-1)
                 to = jnp.asarray(layout.exposure)
                 square = square.at[columns[:, None], to[None, :]].add(cross, mode="drop")
                 square = square.at[to[:, None], columns[None, :]].add(cross.T, mode="drop")
             return Normal(square, gradient, normal.cost)
 
-        return lax.fori_loop(0, -(-total // count), some, normal)
+        return lax.fori_loop(0, -((begin - end) // count), some, normal)
 
 
 def _add_single(
@@ -158,12 +164,11 @@ def _add_single(
     scene: Scene,
     world: World,
     sums: _Sums,
-    label: Int[Array, " pixels"],
     layout: Layout,
     options: Options,
     weights: Float[Array, "5 pixels"] | None,
 ) -> Normal:
-    """Adds the pixels that show one object each, object by object. **Arguments:** `label`: it."""
+    """Adds the pixels that show one object each, object by object."""
     tables, objects = Own(world.balls, world.materials), world.spheres + world.planes
     # their paths end where they begin
     options_ = dataclasses.replace(options, bounces=0)
@@ -178,14 +183,14 @@ def _add_single(
             path = Path(ray, hit, jnp.ones(pixels.shape, scene.dtype), alive, None)
             return shade(scene, world, path, options_)[0]
 
-        def rows(pixels: Ids, alive: Mask) -> Rows:
+        def rows(pixels: Ids, alive: Mask, slope: Float[Array, "3 pixels"]) -> Rows:
             see = partial(
                 _near, pixels=pixels, alive=alive, weights=weights, options=options, look=look
             )
-            return jacobian_rows(see, scene, world, own, layout, pixels.size)
+            return jacobian_rows(see, scene, world, own, layout, slope)
 
         columns = jnp.asarray(layout.each)[number]
-        return sums.add(normal, label == number, columns, rows, layout, PIXELS)
+        return sums.add(normal, number, columns, rows, layout, MOST)
 
     return lax.fori_loop(0, len(layout.each), object_, normal)
 
@@ -195,20 +200,20 @@ def _add_mixed(
     scene: Scene,
     world: World,
     sums: _Sums,
-    mixed: Bool[Array, " pixels"],
+    kind: int,
     layout: Layout,
     look: Callable[..., Vec],
 ) -> Normal:
-    """Adds the pixels that show several objects."""
+    """Adds the pixels that show several objects, of one kind."""
     tables = Own(world.balls, world.materials)
 
-    def rows(pixels: Ids, alive: Mask) -> Rows:
+    def rows(pixels: Ids, alive: Mask, slope: Float[Array, "3 pixels"]) -> Rows:
         see = partial(look, pixels=pixels, alive=alive)
-        return jacobian_rows(see, scene, world, tables, layout, pixels.size)
+        return jacobian_rows(see, scene, world, tables, layout, slope)
 
     columns = jnp.asarray(layout.all)
-    count = max(64, min(PIXELS // 2, MOST_NUMBERS // columns.size))
-    return sums.add(normal, mixed, columns, rows, layout, count)
+    count = max(64, min(MOST // 2, MOST_NUMBERS // columns.size))
+    return sums.add(normal, len(layout.each) + kind, columns, rows, layout, count)
 
 
 def _through(options: Options) -> Look:
@@ -273,37 +278,3 @@ def _weights(edge: Mask, options: Options, dtype: np.dtype) -> Float[Array, "5 p
         return None
     across, down = (bend_part(options) * m.astype(dtype) for m in smooth_beside(edge))
     return jnp.stack([1 - 2 * across - 2 * down, across, across, down, down]).reshape(5, -1)
-
-
-def _labels(scene: Scene, world: World, layout: Layout, options: Options) -> Int[Array, " pixels"]:
-    """The number of the object that each pixel shows; one more than the last for the background,
-    two for several objects; -1 for a background that no free parameter moves.
-    """
-    objects = world.spheres + world.planes
-    materials = jax.lax.stop_gradient(world.materials)
-    ends = jnp.full(objects + 1, True)
-    if options.bounces and options.needs.dark_paths:
-        ends = jnp.arange(objects + 1) >= objects
-    elif options.bounces:
-        ends = jnp.append((materials.kgr == 0) & (materials.kt == 0), True)
-    sky = objects if layout.camera and scene.sky is not None else -1
-    places = sample_places(scene, options)
-
-    def label(pixels: Ids) -> Ids:
-        def sample(place: tuple) -> Ids:
-            ray = rays_through(scene, options, pixels, *place)
-            return nearest(world, ray, options.needs).id.astype(jnp.int32)
-
-        first = sample(jax.tree.map(lambda p: p[0], places))
-        same = jnp.full(first.shape, True)
-        if options.samples > 1:
-            add = lambda same, place: (same & (sample(place) == first), None)
-            same, _ = lax.scan(add, same, jax.tree.map(lambda p: p[1:], places))
-        alone = jnp.where(first >= 0, first, sky)
-        return jnp.where(same & ends[first], alone, objects + 1)
-
-    size = options.width * options.height
-    strips = -(-size // STRIP_PIXELS)
-    strip = -(-size // strips)
-    pixels = jnp.arange(strips * strip, dtype=jnp.int32).reshape(strips, strip)
-    return lax.map(label, pixels).reshape(-1)[:size]

@@ -97,8 +97,7 @@ class Parameters(eqx.Module):
         self.scene, self.free = scene, free
         self.charts = None
         if "light_position" in free:
-            middle, size = extent(scene)
-            self.charts = jax.vmap(chart_at, (0, None, None))(scene.lights.position, middle, size)
+            self.charts = _charts(scene)
 
     def start(self) -> Values:
         """The solver's numbers at the start, brought within the bounds."""
@@ -164,6 +163,12 @@ class Parameters(eqx.Module):
         start = self.start()
         least, most = ({n: limit(n, y, low) for n, y in start.items()} for low in (True, False))
         return least, most
+
+
+@eqx.filter_jit
+def _charts(scene: Scene) -> Chart:
+    middle, size = extent(scene)
+    return jax.vmap(chart_at, (0, None, None))(scene.lights.position, middle, size)
 
 
 def extent(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:

@@ -1,6 +1,6 @@
 """`Problem`: the least-squares problem of a fit, for one picture or for several of one world."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,8 +17,18 @@ from ..options import Options, options as render_options
 from ..render import draw
 from ..scene import Scene
 from .layout import Layout
+from .lists import Lists, sorted_pixels
 from .normal import Normal, normal_equations
-from .parameters import CAMERA, LIGHTS, PLACES, Parameters, check_free, check_present, value
+from .parameters import (
+    CAMERA,
+    GEOMETRY,
+    LIGHTS,
+    PLACES,
+    Parameters,
+    check_free,
+    check_present,
+    value,
+)
 from .target import Target, make_target
 
 
@@ -32,6 +42,7 @@ class Problem(eqx.Module):
     parameters: tuple[Parameters, ...]  #: one for each picture
     targets: tuple[Target, ...]
     options: tuple[Options, ...]
+    lists: tuple[Lists | None, ...]  #: what pixels show, where nothing free changes that
     own: frozenset[str] = eqx.field(static=True)  #: the names of what each picture has of its own
 
     def start(self) -> PyTree:
@@ -117,7 +128,9 @@ class Problem(eqx.Module):
         parts = []
         for k, (scene, exposure) in enumerate(self.place(values)):
             layout = self.layout(k)
-            part = normal_equations(scene, exposure, self.targets[k], layout, self.options[k])
+            part = normal_equations(
+                scene, exposure, self.targets[k], layout, self.options[k], self.lists[k]
+            )
             slope = self.slope(values, k)
             part = Normal(slope.T @ part.square @ slope, slope.T @ part.gradient, part.cost)
             parts.append(part)
@@ -183,7 +196,7 @@ def make_problem(
     check_free(free)
     scenes = [scene] if isinstance(scene, Scene) else list(scene)
     several = not isinstance(scene, Scene)
-    images = list(target) if several else [target]
+    images = list(target) if several or isinstance(target, list | tuple) else [target]
     if len(scenes) != len(images) or not scenes:
         raise InputError(
             f"there must be one target for each scene, got {len(scenes)} scenes and "
@@ -193,18 +206,41 @@ def make_problem(
         check_present(one, free)
     own_names = frozenset(own) | ({"exposure"} & set(free) if several else set())
     _check_own(scenes, free, own_names)
+    each = {name: _each(name, x, len(scenes)) if several else [x] for name, x in counts.items()}
     targets, options = [], []
     for k, (one, image) in enumerate(zip(scenes, images, strict=True)):
-        pick: Callable[[Any], Any] = lambda x: (
-            x[k] if isinstance(x, list | tuple) and len(x) == len(scenes) else x
-        )
-        goal = make_target(image, one.dtype, **{name: pick(x) for name, x in counts.items()})
+        goal = make_target(image, one.dtype, **{name: x[k] for name, x in each.items()})
         height, width, _ = goal.image.shape
         wanted = needs(one, free=[name for name in free if name != "exposure"])
         options.append(render_options(one, width, height, highlight, bounces, samples, wanted))
         targets.append(goal)
     parameters = tuple(Parameters(one, free) for one in scenes)
-    return Problem(parameters, tuple(targets), tuple(options), own_names)
+    fixed = not GEOMETRY & set(free)
+    lists = tuple(
+        _lists(one, free, o) if fixed and not o.antialias else None
+        for one, o in zip(scenes, options, strict=True)
+    )
+    return Problem(parameters, tuple(targets), tuple(options), lists, own_names)
+
+
+@eqx.filter_jit
+def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> Lists:
+    return sorted_pixels(scene, Layout(scene, free), options, None)
+
+
+def _each(name: str, value: Any, count: int) -> list:
+    """What counts in each picture, from one value for all or a list.
+
+    **Raises:** `InputError` for lists of other lengths, and noise of some pictures only: residuals
+    would be in different units.
+    """
+    if not isinstance(value, list | tuple):
+        return [value] * count
+    if len(value) != count:
+        raise InputError(f"{name} must be one for all or one for each of {count}, got {len(value)}")
+    if name == "noise" and any(x is None for x in value):
+        raise InputError("noise must be given for all pictures or for none")
+    return list(value)
 
 
 def _check_own(scenes: list[Scene], free: tuple[str, ...], own: frozenset[str]) -> None:
@@ -220,6 +256,11 @@ def _check_own(scenes: list[Scene], free: tuple[str, ...], own: frozenset[str]) 
         for part in ("spheres", "planes", "textures"):
             if not bool(eqx.tree_equal(getattr(first, part), getattr(other, part))):
                 raise InputError(f"scene {k} has other {part} than the first: they must be equal")
+        if len(other.lights) != len(first.lights):
+            raise InputError(
+                f"scene {k} has {len(other.lights)} lights, the first {len(first.lights)}: they "
+                "must have equally many"
+            )
         for name in sorted((possible - {"exposure"}) & set(free) - own):
             if not bool(eqx.tree_equal(value(first, name), value(other, name))):
                 raise InputError(

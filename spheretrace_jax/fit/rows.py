@@ -41,16 +41,17 @@ def jacobian_rows(
     world: World,
     own: Own,
     layout: Layout,
-    count: int,
+    slope: Float[Array, "3 pixels"],
 ) -> Rows:
-    """The derivatives of what some pixels see by what is free.
+    """The derivatives of what some pixels see by what is free, times a slope for each channel.
 
-    **Arguments:** `see`: from a scene to the colours, planes of shape `(count,)`. `own`: the
+    **Arguments:** `see`: from a scene to the colours, planes of shape `(pixels,)`. `own`: the
     objects that pixels may show, of shape `(objects,)`.
 
     **Returns:** columns for the spheres' parameters, in the layout's order of names, row by row
     of `own`, then those of the lights and the camera.
     """
+    count = slope.shape[1]
     spread = lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count))
     rows = []
     if layout.spheres or layout.lights:
@@ -69,8 +70,8 @@ def jacobian_rows(
 
         lights = [spread(light) for light in at_lights(scene)]
         _, pull = jax.vjp(reverse, at_own(own), lights)
-        one = spread(jnp.eye(3, dtype=scene.dtype))
-        columns, lights = jax.vmap(pull, out_axes=-2)(Vec(one[0], one[1], one[2]))
+        seeds = [jnp.zeros_like(slope).at[c].set(slope[c]) for c in range(3)]
+        columns, lights = jax.vmap(pull, out_axes=-2)(Vec(*seeds))
         n = len(scene.spheres)
         # of colours and centres the three parts side by side; planes have no free parameters
         parts = [jnp.stack(jax.tree.leaves(c), axis=1)[: max(n, 1)] for c in columns]
@@ -84,5 +85,5 @@ def jacobian_rows(
 
         _, push = jax.linearize(forward, at_camera(scene))
         moved = jax.vmap(push)(list(jnp.eye(len(layout.camera), dtype=scene.dtype)))
-        rows.append(jnp.stack([moved.x, moved.y, moved.z], axis=1))
+        rows.append(jnp.stack([moved.x, moved.y, moved.z], axis=1) * slope[None])
     return jnp.concatenate(rows)

@@ -190,14 +190,17 @@ def fit(
     best = None
     for begin in _starts(problem, start):
         if solver is None:
-            method = BoundedLevenbergMarquardt(rtol, atol, *begin.bounds(), cautious=bool(edges))
+            bounds = _begin(begin)[1]
+            method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
         else:
             method = solver
         run = _Run(method, jacobian == "dense", rtol + atol, max_steps, callback)
         found = run.fit(begin, gauge, noise)
         if best is None or not found.cost >= best.cost:
             best = found
-        if found.interrupted or (found.converged and explains(found.problem, found.values)):
+        if found.interrupted or (
+            found.converged and explains(found.problem, found.values, found.cost)
+        ):
             break
     assert best is not None
     if throw and not best.interrupted and not best.converged:
@@ -218,9 +221,9 @@ def _starts(problem: Problem, start: str) -> Iterator[Problem]:
         yield problem
         return
     if GEOMETRY & set(free):
-        raise InputError(f"a start from nothing needs the geometry: {_geometry(free)} are free")
-    if not problem.parameters[0].scene.lights:
-        raise InputError("a start from nothing needs lights: how many there are")
+        raise InputError(f"start auto needs a known geometry, got {_geometry(free)} free")
+    if not len(problem.parameters[0].scene.lights):
+        raise InputError("start auto needs to know how many lights there are, the scene has none")
     own = "light_position" in problem.own
     pictures = zip(problem.parameters, problem.targets, problem.options, strict=True)
     proposals = [
@@ -278,8 +281,23 @@ def _options(fn: Callable) -> dict[str, str]:
 
 @eqx.filter_jit
 def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> tuple:
+    """The best values so far, their cost, the state, and how far the next look is."""
     values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())
-    return values, state
+    moves = jax.tree.map(
+        lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), state.y_eval, values
+    )
+    return values, state.f_info.as_min(), state, jnp.max(jnp.stack(jax.tree.leaves(moves)))
+
+
+@eqx.filter_jit
+def _begin(problem: Problem) -> tuple[PyTree, tuple[PyTree, PyTree]]:
+    return problem.start(), problem.bounds()
+
+
+@eqx.filter_jit
+def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, list]:
+    values = settle(problem, values, gauge)
+    return values, problem.place(values)
 
 
 class _Run:
@@ -302,7 +320,7 @@ class _Run:
 
     def fit(self, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
         """What is found from a problem's start."""
-        values = problem.start()
+        values, _ = _begin(problem)
         estimated = problem.targets[0].loss != "square" and noise is None
         for _ in range(_MOST_ROUNDS if estimated else 1):
             if estimated:
@@ -315,8 +333,7 @@ class _Run:
         else:
             if self.converged and not self.interrupted:
                 values = self._past_shadows(problem, values)
-        values = settle(problem, values, gauge)
-        placed = problem.place(values)
+        values, placed = _finish(problem, values, gauge)
         counted = sum(t.counted for t in problem.targets)
         return Fit(
             scenes=[scene for scene, _ in placed],
@@ -340,7 +357,11 @@ class _Run:
         pixels that fit worst are left out once; where the others lead is kept if it is better.
         """
         shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
-        if not shadows or "light_position" not in values or explains(problem, values):
+        if (
+            not shadows
+            or "light_position" not in values
+            or explains(problem, values, self.costs[-1])
+        ):
             return values
         cost, before, result = self.costs[-1], len(self.costs), self.result
         elsewhere = self.solve(problem.without_worst_at(values), values)
@@ -361,8 +382,8 @@ class _Run:
             args = self._args(problem, values)
             state = _init(self.solver, self.fn, args, values)
             while len(self.costs) < self.max_steps:
-                values, state = _step(self.solver, self.fn, args, values, state)
-                self.costs.append(float(state.f_info.as_min()))
+                values, cost, state, move = _step(self.solver, self.fn, args, values, state)
+                self.costs.append(float(cost))
                 self._tell(problem, values, state)
                 if not np.isfinite(self.costs[-1]):
                     self.result = optx.RESULTS.nonfinite
@@ -370,7 +391,9 @@ class _Run:
                 done, result = self.solver.terminate(
                     self.fn, values, args, _options(self.fn), state, frozenset()
                 )
-                if done or self._at_rest(values, state):
+                # or only steps below the tolerance are left, none of which lowers the cost
+                rejected = getattr(state, "num_steps_since_acceptance", 0) >= 2
+                if done or (rejected and move < self.tolerance):
                     self.result = result
                     break
                 args = self._args(problem, state.y_eval)
@@ -392,12 +415,3 @@ class _Run:
         damping = 1 / size if size else float("inf")
         best = scenes[0] if len(scenes) == 1 else scenes
         self.callback(Progress(len(self.costs), self.max_steps, self.costs[-1], damping, best))
-
-    def _at_rest(self, values: PyTree, state: Any) -> bool:
-        """Whether only steps below the tolerance are left, none of which lowers the cost."""
-        if getattr(state, "num_steps_since_acceptance", 0) < 2:
-            return False
-        moves = jax.tree.map(
-            lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), state.y_eval, values
-        )
-        return bool(max(jax.tree.leaves(moves)) < self.tolerance)

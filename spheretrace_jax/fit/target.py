@@ -26,8 +26,9 @@ Loss = Literal["square", "huber", "cauchy"]
 #: noise (Huber 1964; Holland and Welsch 1977).
 _THRESHOLDS = {"square": 1.0, "huber": 1.345, "cauchy": 2.385}
 
-# Noise is taken to be at least so much of the target's largest number, when it is estimated.
-_LEAST_NOISE = 1e-4
+# Noise is estimated where the picture is no darker than this part of its mean, and is taken to be
+# at least so much of its largest number: not the target's, which may be an outlier.
+_DARK, _LEAST_NOISE = 0.1, 1e-4
 
 # The part of the numbers that `without_worst` leaves out.
 _WORST = 0.05
@@ -44,7 +45,7 @@ class Target(eqx.Module):
     @property
     def counted(self) -> int:
         """How many numbers count."""
-        return int(jnp.sum(self.weight > 0))
+        return int(np.sum(np.asarray(self.weight) > 0))
 
     def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
         """weight (exposure picture - target)."""
@@ -60,7 +61,8 @@ class Target(eqx.Module):
         if self.loss == "huber":
             bent = jnp.sqrt(2 * jnp.maximum(x, 1) - 1)
             return jnp.where(x <= 1, r, jnp.sign(r) * k * bent)
-        some = x > 0
+        # smaller ones are their own: their squares may underflow, where the root has no slope
+        some = x > jnp.sqrt(jnp.finfo(x.dtype).eps)
         log = jnp.log1p(jnp.where(some, x * x, 1))
         return jnp.where(some, jnp.sign(r) * k * jnp.sqrt(log), r)
 
@@ -72,10 +74,16 @@ class Target(eqx.Module):
         return by_picture, by_exposure
 
     def with_noise_of(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
-        """The same, with the noise estimated from the median residual, which outliers leave be."""
+        """The same, with the noise estimated from the median residual, which outliers leave be.
+
+        Only where the picture shows something: black backgrounds fit without any noise.
+        """
         r = jnp.abs(self.misfit(picture, exposure))
-        median = jnp.nanmedian(jnp.where(self.weight > 0, r, jnp.nan))
-        least = _LEAST_NOISE * jnp.max(jnp.abs(self.image) * self.weight)
+        counts, seen = self.weight > 0, jnp.abs(picture * exposure[None, None, :])
+        mean = jnp.mean(seen, where=counts)
+        shown = counts & (seen >= _DARK * mean)
+        median = jnp.nanmedian(jnp.where(shown, r, jnp.nan))
+        least = _LEAST_NOISE * jnp.max(seen * self.weight)
         noise = jnp.maximum(1.4826 * median, least)
         return eqx.tree_at(lambda t: t.noise, self, jnp.where(noise > 0, noise, 1))
 
@@ -143,6 +151,8 @@ def make_target(
         raise PictureError("every number of the target is clipped: there is nothing to fit")
     weight = np.where(clipped, 0, weight)
     if darkest is not None:
+        if np.isnan(darkest):
+            raise InputError("darkest must be a number, got nan")
         weight = np.where(pixels <= darkest, 0, weight)
     if not (weight > 0).any():
         raise PictureError("no number of the target counts: there is nothing to fit")
@@ -152,6 +162,8 @@ def make_target(
 def _like(value: ArrayLike, pixels: np.ndarray, name: str) -> np.ndarray:
     """A number for all, one per pixel or one per channel, as one per channel."""
     array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{name} must hold numbers, got {array.dtype}")
     if array.shape == pixels.shape[:2]:
         array = array[..., None]
     if array.shape not in ((), (*pixels.shape[:2], 1), pixels.shape):

@@ -1,5 +1,7 @@
 """Whether a fit is what it seems to be: converged, inside its bounds, explaining the picture."""
 
+import re
+
 import equinox as eqx
 import numpy as np
 from jax.flatten_util import ravel_pytree
@@ -24,7 +26,20 @@ class Trust(eqx.Module):
     unexplained: float  #: the structured part of the residual, as a part of the picture
 
     def __str__(self) -> str:
-        return "\n".join([self.verdict, *self.remarks])
+        return "\n".join([self.verdict, *together(self.remarks)])
+
+
+def together(sentences: tuple[str, ...]) -> list[str]:
+    """Sentences of which those that say the same of several spheres are said once."""
+    spheres: dict[str, list[str]] = {}
+    for sentence in sentences:
+        who, colon, what = sentence.partition(": ")
+        one = re.fullmatch(r"sphere (\d+)", who) if colon else None
+        spheres.setdefault(what if one else sentence, []).append(one[1] if one else "")
+    return [
+        what if not who[0] else f"sphere{'s' * (len(who) > 1)} {', '.join(who)}: {what}"
+        for what, who in spheres.items()
+    ]
 
 
 def judge(fit) -> Trust:
@@ -56,9 +71,19 @@ def judge(fit) -> Trust:
     )
 
 
-def explains(problem: Problem, values: PyTree) -> bool:
-    """Whether some values explain the pictures."""
+def explains(problem: Problem, values: PyTree, cost: float) -> bool:
+    """Whether some values, of a known cost, explain the pictures."""
+    # whatever its structure, no more is left than all of it
+    most = (np.sqrt(2 * cost / t.counted) / _size(t) for t in problem.targets)
+    if all(part <= _UNEXPLAINED for part in most):
+        return True
     return all(part <= limit for part, _, limit in _unexplained(problem, values))
+
+
+def _size(target: Target) -> float:
+    """The root-mean-square of the weighted numbers that count."""
+    square = np.asarray(target.image * target.weight) ** 2
+    return float(np.sqrt(np.sum(square, dtype=np.float64) / target.counted)) or 1.0
 
 
 def _at_bounds(fit) -> list[str]:
@@ -97,12 +122,11 @@ def _structure(
     square = residual[counts] ** 2
     outliers = np.where(square > 36 * 1.4826**2 * np.median(square), square, 0)
     structure = max(share, 0) * np.mean(square) + np.mean(outliers)
-    weighted = np.asarray(target.image * target.weight, np.float64)[counts]
-    size = np.sqrt(np.mean(weighted**2)) or 1.0
     row, column = np.unravel_index(_smooth(residual).argmax(), residual.shape[:2])
-    coarse = len(np.unique(np.asarray(target.image))) <= 256
+    # neighbouring levels of 8 bits are further apart than rounding, also where it is dark
+    coarse = len(np.unique(np.round(np.asarray(target.image), 5))) <= 256
     return (
-        float(np.sqrt(structure) / size),
+        float(np.sqrt(structure) / _size(target)),
         f"most of it near column {column}, row {row}",
         _UNEXPLAINED_8_BIT if coarse else _UNEXPLAINED,
     )

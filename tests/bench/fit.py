@@ -1,0 +1,182 @@
+"""Fits: time and error beside the dense Jacobian, recovery of random scenes: `make bench-fit`.
+
+Times are medians of fits after compilation; the first call is apart.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import spheretrace_jax as st
+from spheretrace_jax.demo import wrong_start
+from spheretrace_jax.report import determined
+
+SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
+PRODUCTS = ("ka*color", "kd*color", "ks")
+
+
+def nine_spheres(dtype: str) -> st.Scene:
+    return st.load_scene(SCENE, dtype).with_antialias(0)
+
+
+def timed(function, runs: int) -> tuple[object, float, float]:
+    """What a function returns, the seconds of its first call and the median of later ones."""
+    seconds = []
+    for _ in range(runs + 1):
+        start = time.perf_counter()
+        value = function()
+        seconds.append(time.perf_counter() - start)
+    return value, seconds[0], statistics.median(seconds[1:])
+
+
+def errors(found: st.Scene, truth: st.Scene) -> tuple[float, float]:
+    """The largest relative error of the determined products, and of the light's position."""
+    a, b = determined(found), determined(truth)
+    products = max(np.abs(a[k] - b[k]).max() / np.abs(b[k]).max() for k in PRODUCTS)
+    away = np.linalg.norm(b["light_position"])
+    return products, np.abs(a["light_position"] - b["light_position"]).max() / away
+
+
+def time_and_error() -> None:
+    print(
+        "nine spheres, colours, ka, kd, ks and light from the wrong start, against our own picture"
+    )
+    print(f"{'fit':34} {'first':>7} {'median':>9} {'steps':>5} {'products':>9} {'light':>8}")
+    medians = {}
+    for name, size, dtype, jacobian, runs in (
+        ("512x512 float64", 512, "float64", "structured", 5),
+        ("512x512 float32", 512, "float32", "structured", 5),
+        ("256x256 float64", 256, "float64", "structured", 5),
+        ("256x256 float64, dense Jacobian", 256, "float64", "dense", 1),
+    ):
+        truth = nine_spheres(dtype)
+        target = np.asarray(st.render(truth, width=size, height=size, bounces=0))
+        start = wrong_start(truth)
+        run = lambda s=start, t=target, j=jacobian: st.fit(s, t, bounces=0, jacobian=j)
+        found, first, median = timed(run, runs)
+        medians[name] = median
+        products, light = errors(found.scene, truth)
+        print(
+            f"{name:34} {first:5.1f} s {median:7.3f} s {found.steps:5} {products:9.1e} {light:8.1e}"
+        )
+    ratio = medians["256x256 float64, dense Jacobian"] / medians["256x256 float64"]
+    print(f"dense / structured at 256x256: {ratio:.0f}")
+
+
+def outliers() -> None:
+    print("256x256, 10 % of the pixels random, 8-bit sRGB:")
+    truth = nine_spheres("float64")
+    picture = np.array(st.render(truth, width=256, height=256, bounces=0))
+    rng = np.random.default_rng(0)
+    wrong = rng.random((256, 256)) < 0.1
+    picture[wrong] = rng.random((int(wrong.sum()), 3))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "target.png")
+        st.write_image(file, np.clip(picture, 0, 1), bits=8)
+        target = st.read_image(file)
+    for loss in ("square", "huber", "cauchy"):
+        found = st.fit(wrong_start(truth), target, bounces=0, loss=loss)
+        products, light = errors(found.scene, truth)
+        print(f"  {loss:8} {found.steps:3} steps, products {products:.1e}, light {light:.1e}")
+
+
+def random_scene(rng: np.random.Generator, n: int, lights: int) -> st.Scene:
+    """n spheres side by side, and lights anywhere in the half space of the camera."""
+    grid = int(np.ceil(np.sqrt(n)))
+    cell = rng.permutation(grid * grid)[:n]
+    side = 420 / grid
+    jitter = lambda: rng.uniform(-0.1, 0.1, n) * side
+    x, y = (cell % grid + 0.5) * side - 210 + jitter(), (cell // grid + 0.5) * side - 210 + jitter()
+    center = np.stack([x, y, rng.uniform(-100, 100, n)], axis=1)
+    spheres = st.Spheres(
+        center,
+        rng.uniform(0.25, 0.48, n) * side,
+        rng.uniform(0.15, 1, (n, 3)),
+        ka=rng.uniform(0.1, 0.4, n),
+        kd=rng.uniform(0.3, 0.6, n),
+        ks=rng.uniform(0.1, 0.5, n),
+        exponent=10 ** rng.uniform(0.7, 2, n),
+    )
+    return st.Scene(spheres, st.Lights(anywhere(rng, lights)), st.Camera(0.0, 0.0, 1200.0, 1200.0))
+
+
+def anywhere(rng: np.random.Generator, lights: int) -> np.ndarray:
+    away = rng.normal(size=(lights, 3))
+    away[:, 2] = np.abs(away[:, 2])
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    return away * 10 ** rng.uniform(np.log10(400), 4, (lights, 1))
+
+
+def recovered(found: st.Fit, truth: st.Scene) -> bool:
+    """Whether everything that the picture determines has come back, up to the lights' order."""
+    a, b = found.scene, truth
+    products = (
+        lambda s: s.spheres.ka[:, None] * s.spheres.color,
+        lambda s: s.spheres.kd[:, None] * s.spheres.color,
+        lambda s: s.spheres.ks,
+    )
+    for product in products:
+        shows = np.isfinite(found.uncertainty.of(product))
+        if np.abs(np.where(shows, product(a) - product(b), 0)).max() > 1e-6:
+            return False
+    left = list(np.asarray(b.lights.position))
+    for position in np.asarray(a.lights.position):
+        apart = [np.linalg.norm(position - other) / np.linalg.norm(other) for other in left]
+        if min(apart) > 1e-5:
+            return False
+        left.pop(int(np.argmin(apart)))
+    return True
+
+
+def recovery(count: int) -> None:
+    """`count` scenes each of 1, 2 and 3 lights, started from nothing."""
+    print(f"{count} random scenes each, 2 to 20 spheres, 128x128, start='auto':")
+    for lights in (1, 2, 3):
+        rng = np.random.default_rng(lights)
+        good, said, seconds = 0, 0, []
+        for _ in range(count):
+            # few numbers of spheres, each of which is compiled for
+            truth = random_scene(rng, int(rng.choice([2, 3, 5, 9, 14, 20])), lights)
+            target = np.asarray(st.render(truth, width=128, height=128, bounces=0))
+            s = truth.spheres
+            grey = (jnp.full_like(s.color, 0.5), *(jnp.full_like(s.ka, x) for x in (0.3, 0.5, 0.2)))
+            places = lambda x: (x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks)
+            start = eqx.tree_at(places, truth, grey)
+            moved = jnp.asarray(anywhere(rng, lights), truth.dtype)
+            start = eqx.tree_at(lambda x: x.lights.position, start, moved)
+            began = time.perf_counter()
+            found = st.fit(start, target, bounces=0, start="auto", max_steps=60)
+            seconds.append(time.perf_counter() - began)
+            if recovered(found, truth):
+                good += 1
+            elif not found.trust.ok:
+                said += 1
+        lost = count - good
+        print(
+            f"  {lights} light(s): {good} of {count} recovered, {said} of {lost} others said so, "
+            f"median {statistics.median(seconds):.2f} s",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=67, help="random scenes per number of lights")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    warnings.simplefilter("ignore", st.SceneWarning)
+    time_and_error()
+    outliers()
+    recovery(arguments.scenes)
+
+
+if __name__ == "__main__":
+    main()
