@@ -363,8 +363,7 @@ def test_gauges_give_scenes_that_look_the_same(picture):
     pictures = [st.render(f.scene, **SIZE, **PLAIN) for f in found.values()]
     for other in pictures[1:]:
         np.testing.assert_allclose(other, pictures[0], atol=1e-12)
-    for f in found.values():
-        np.testing.assert_allclose(pictures[0], picture, atol=1e-9)
+    np.testing.assert_allclose(pictures[0], picture, atol=1e-9)
     color = np.asarray(found["color"].scene.spheres.color)
     np.testing.assert_allclose(color.max(1), 1, rtol=1e-15)
     s = found["ka"].scene.spheres

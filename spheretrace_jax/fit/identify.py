@@ -8,12 +8,12 @@ from .normal import Normal
 from .reasons import names_of, reasons
 from .uncertainty import Uncertainty
 
-# How much a direction may show, in units of J with columns of length 1, that does not show.
-_HIDDEN = 1e-5
-
 # Logarithms, angles and parts of their range that are known to no better than this are as good as
 # not determined.
 _WEAK = 0.5
+
+# Parts of a direction of length 1 that are rounding errors, or say nothing that is not said yet.
+_NOTHING = 1e-6
 
 
 class Identifiability(eqx.Module):
@@ -30,41 +30,65 @@ class Identifiability(eqx.Module):
         return "\n".join([first, *self.undetermined, *self.weak])
 
 
-def identify(uncertainty: Uncertainty, normal: Normal) -> Identifiability:
+def identify(uncertainty: Uncertainty, normal: Normal | None = None) -> Identifiability:
     """What the pictures determine at a solution.
 
     A reason that is known by structure is named if J^T J confirms it; what else J^T J leaves open
     is named by its largest parts.
     """
-    problem, values, spectrum = uncertainty.problem, uncertainty.values, uncertainty.spectrum
+    problem, spectrum = uncertainty.problem, uncertainty.spectrum
     words, explained = [], np.zeros((spectrum.scale.size, 0))
-    for sentence, directions in reasons(problem, values, normal):
-        new = _orthonormal(directions * spectrum.scale[:, None])
-        new = _orthonormal(new - explained @ (explained.T @ new))
-        shows = np.sum(spectrum.values[:, None] * (spectrum.vectors.T @ new) ** 2, axis=0)
-        if new.shape[1] and np.sqrt(shows.max()) < _HIDDEN:
+    known = reasons(problem, uncertainty.values, spectrum.hidden, uncertainty.slopes)
+    for sentence, directions in known:
+        new = _beyond(directions * spectrum.scale[:, None], explained)
+        if new.shape[1] and spectrum.shown(new).max() <= spectrum.least:
             explained = np.concatenate([explained, new], axis=1)
             words.append(sentence)
-    rest = _orthonormal(spectrum.null - explained @ (explained.T @ spectrum.null))
-    names = names_of(problem)
-    for direction in rest.T:
+    names = np.asarray(names_of(problem))
+    left = spectrum.null.shape[1] - explained.shape[1]
+    for direction in _sparse(_rest(spectrum.null, explained, left)).T:
         large = np.abs(direction) > 0.3 * np.abs(direction).max()
-        parts = list(dict.fromkeys(names[i] for i in np.flatnonzero(large)))
+        parts = list(dict.fromkeys(names[large]))
         what = parts[0] if len(parts) == 1 else f"a combination of {', '.join(parts)}"
         words.append(f"{what} is not determined")
     return Identifiability(
         rank=spectrum.rank,
         free=spectrum.scale.size,
         singular_values=np.sqrt(spectrum.values),
-        undetermined=tuple(words),
+        undetermined=tuple(dict.fromkeys(words)),
         weak=tuple(_weak(uncertainty)),
     )
 
 
-def _orthonormal(directions: np.ndarray) -> np.ndarray:
-    """A basis of what columns of length at most 1 span."""
-    left, size, _ = np.linalg.svd(directions, full_matrices=False)
-    return left[:, size > 1e-6 * max(1, size.max(initial=0))]
+def _beyond(directions: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of what some directions, of any length, say that is not explained."""
+    length = np.linalg.norm(directions, axis=0)
+    directions = directions[:, length > 0] / length[length > 0]
+    left, size, _ = np.linalg.svd(
+        directions - explained @ (explained.T @ directions), full_matrices=False
+    )
+    return left[:, size > _NOTHING]
+
+
+def _rest(null: np.ndarray, explained: np.ndarray, count: int) -> np.ndarray:
+    """Those `count` directions of an orthonormal basis that are least explained."""
+    left, _, _ = np.linalg.svd(null - explained @ (explained.T @ null), full_matrices=False)
+    return left[:, : max(count, 0)]
+
+
+def _sparse(basis: np.ndarray) -> np.ndarray:
+    """A basis of the same space with as many zeros as there are other directions in each.
+
+    By elimination (Gauss, Jordan): independent reasons that share no unknowns come apart.
+    """
+    basis = basis.copy()
+    for k in range(basis.shape[1]):
+        row, column = np.unravel_index(np.abs(basis[:, k:]).argmax(), basis[:, k:].shape)
+        basis[:, [k, k + column]] = basis[:, [k + column, k]]
+        basis[:, k] /= basis[row, k]
+        others = np.arange(basis.shape[1]) != k
+        basis[:, others] -= np.outer(basis[:, k], basis[row, others])
+    return basis
 
 
 def _weak(uncertainty: Uncertainty) -> list[str]:
@@ -75,20 +99,21 @@ def _weak(uncertainty: Uncertainty) -> list[str]:
     words = [
         f"{name} is lost in the noise"
         for name in dict.fromkeys(names[weak])
-        if not name.endswith("position")
+        if "position" not in name
     ]
     problem = uncertainty.problem
     if "light_position" not in problem.parameters[0].free:
         return words
-    for k, parameters in enumerate(
-        problem.parameters if "light_position" in problem.own else problem.parameters[:1]
-    ):
-        of = f" of picture {k + 1}" if "light_position" in problem.own else ""
+    own = "light_position" in problem.own
+    for k, parameters in enumerate(problem.parameters if own else problem.parameters[:1]):
+        of = f" of picture {k + 1}" if own else ""
         for i in range(len(parameters.scene.lights)):
             angle, distance = uncertainty.of_light(k, i)
-            if np.isfinite(angle) and angle < _WEAK < distance:
+            if angle <= _WEAK < distance:
                 words.append(
                     f"light {i + 1}{of}: distance undetermined, direction known to "
                     f"{np.degrees(angle):.2g} degrees"
                 )
+            elif _WEAK < angle < np.inf:
+                words.append(f"light {i + 1}'s position{of} is lost in the noise")
     return words

@@ -131,7 +131,7 @@ class Parameters(eqx.Module):
         return {name: self._natural(name, y) for name, y in values.items()}
 
     def _natural(self, name: str, y: Array) -> Array:
-        if name == "light_position":
+        if name == "light_position" and self.charts is not None:
             return jax.vmap(Chart.position)(self.charts, y)
         if name in _UNIT:
             return _fold(y)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, ArrayLike, Float, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from .._types import Highlight, Picture
 from ..errors import InputError
@@ -184,7 +184,7 @@ def compress(
 
 def make_problem(
     scene: Scene | Sequence[Scene],
-    target: ArrayLike | Sequence[ArrayLike],
+    target: Any,
     free: tuple[str, ...],
     own: tuple[str, ...],
     highlight: Highlight,
@@ -256,11 +256,6 @@ def _check_own(scenes: list[Scene], free: tuple[str, ...], own: frozenset[str]) 
         for part in ("spheres", "planes", "textures"):
             if not bool(eqx.tree_equal(getattr(first, part), getattr(other, part))):
                 raise InputError(f"scene {k} has other {part} than the first: they must be equal")
-        if len(other.lights) != len(first.lights):
-            raise InputError(
-                f"scene {k} has {len(other.lights)} lights, the first {len(first.lights)}: they "
-                "must have equally many"
-            )
         for name in sorted((possible - {"exposure"}) & set(free) - own):
             if not bool(eqx.tree_equal(value(first, name), value(other, name))):
                 raise InputError(

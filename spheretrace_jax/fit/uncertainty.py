@@ -14,13 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from .normal import Normal
 from .parameters import extent
 from .problem import Problem
 
-# Eigenvalues of the scaled J^T J below so many rounding errors are 0.
+# Eigenvalues of the scaled J^T J below so many rounding errors are 0, and so are columns of J that
+# are no longer than so many rounding errors of the picture.
 _ROUNDING = 1e3
 
 # A function that depends on undetermined directions by more than this is not determined.
@@ -30,10 +31,16 @@ _DEPENDS = 1e-5
 class Spectrum(eqx.Module):
     """J^T J, its columns scaled to length 1, by eigenvectors; largest first."""
 
-    scale: Float[np.ndarray, " free"]  #: the lengths of J's columns; 1 for those that are 0
+    scale: Float[np.ndarray, " free"]  #: the lengths of J's columns
+    hidden: Bool[np.ndarray, " free"]  #: which columns are 0
     values: Float[np.ndarray, " free"]
     vectors: Float[np.ndarray, "free free"]
-    rank: int
+    least: float  #: eigenvalues up to this are 0
+
+    @property
+    def rank(self) -> int:
+        """How many independent directions show."""
+        return int(np.sum(self.values > self.least))
 
     @property
     def known(self) -> Float[np.ndarray, "free rank"]:
@@ -45,19 +52,22 @@ class Spectrum(eqx.Module):
         """The directions that do not show, as columns."""
         return self.vectors[:, self.rank :]
 
+    def shown(self, directions: Float[np.ndarray, "free count"]) -> Float[np.ndarray, " count"]:
+        """The squares of what directions of length 1 show."""
+        return self.values @ (self.vectors.T @ directions) ** 2
 
-def spectrum_of(normal: Normal) -> Spectrum:
-    """The scaled J^T J by eigenvectors, and how many of them are not 0 but for rounding."""
-    square = np.asarray(normal.square, np.float64)
+
+def spectrum_of(square: Float[np.ndarray, "free free"], size: float) -> Spectrum:
+    """**Arguments:** `square`: J^T J. `size`: the length of the picture, all its numbers taken."""
+    rounding = _ROUNDING * np.finfo(square.dtype).eps
     scale = np.sqrt(np.diag(square))
-    # derivatives of rounding errors are none
-    tiny = np.finfo(np.float64).tiny
-    scale = np.where(scale > tiny, scale, 1)
-    values, vectors = np.linalg.eigh(square / scale[:, None] / scale[None, :])
-    values, vectors = values[::-1], vectors[:, ::-1]
-    eps = np.finfo(np.asarray(normal.square).dtype).eps
-    rank = int(np.sum(values > _ROUNDING * len(values) * eps))
-    return Spectrum(scale, np.maximum(values, 0), vectors, rank)
+    hidden = scale <= rounding * size
+    # any length would do for them; one like the others' keeps functions of both comparable
+    scale = np.where(hidden, np.median(scale[~hidden]) if not hidden.all() else 1.0, scale)
+    seen = ~hidden[:, None] & ~hidden[None, :]
+    values, vectors = np.linalg.eigh(np.where(seen, square / scale[:, None] / scale[None, :], 0))
+    values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
+    return Spectrum(scale, hidden, values, vectors, least=rounding * values.size)
 
 
 class Uncertainty(eqx.Module):
@@ -67,32 +77,31 @@ class Uncertainty(eqx.Module):
     problem: Problem
     values: PyTree
     spectrum: Spectrum
+    #: of each picture's free parameters, in its layout, the derivatives by the unknowns
+    slopes: list[Float[np.ndarray, "_ free"]]
 
     @property
     def standard_deviations(self) -> dict[str, np.ndarray]:
         """Of each free parameter, in its own units and shape; inf where it is not determined.
 
-        With several pictures, what each has of its own has one more axis in front.
+        With several pictures, what each has of its own has one more axis in front; lights that a
+        picture has less than others are nan.
         """
-        found = {}
+        found, own = {}, self.problem.own
         for name in self.problem.parameters[0].free:
-            slopes = self._slopes(lambda natural, name=name: natural[name])
-            shape = np.shape(self._natural()[0][name])
-            if name in self.problem.own:
-                found[name] = np.stack([self._deviations(s).reshape(shape) for s in slopes])
-            else:
-                found[name] = self._deviations(slopes[0]).reshape(shape)
+            pictures = range(len(self.slopes) if name in own else 1)
+            places = [self.problem.layout(k).places[name] for k in pictures]
+            each = [self._deviations(self.slopes[k])[at] for k, at in enumerate(places)]
+            found[name] = _stacked(each) if name in own else np.asarray(each[0])
         return found
 
     @property
-    def covariance(self) -> Float[np.ndarray, "free free"]:
+    def covariance(self) -> Float[np.ndarray, "natural natural"]:
         """Of the first picture's free parameters, name by name, row by row, in their own units.
 
         Directions that are not determined are left out of it: see `standard_deviations`.
         """
-        free = self.problem.parameters[0].free
-        flat = lambda natural: jnp.concatenate([natural[n].reshape(-1) for n in free])
-        half = self._half(self._slopes(flat)[0])
+        half = self._half(self.slopes[0])
         return half @ half.T
 
     def of(self, function: Callable[[Any], Array]) -> np.ndarray:
@@ -117,36 +126,17 @@ class Uncertainty(eqx.Module):
 
         Both as seen from the middle of the spheres.
         """
-        y, unravel = ravel_pytree(self.values)
         middle, _ = extent(self.problem.parameters[picture].scene)
-
-        def position(y: Array) -> Array:
-            scene = self.problem.place(unravel(y))[picture][0]
-            return scene.lights.position[light] - middle
-
-        away = np.asarray(position(y), np.float64)
-        slope = np.asarray(jax.jacfwd(position)(y), np.float64) / np.linalg.norm(away)
-        along = away / np.linalg.norm(away)
+        scene, _ = self.problem.place(self.values)[picture]
+        away = np.asarray(scene.lights.position[light] - middle, np.float64)
+        length = np.linalg.norm(away)
+        along = away / length
+        places = self.problem.layout(picture).places["light_position"]
+        slope = self.slopes[picture][places[light]] / length
         distance = self._deviations((along @ slope)[None])[0]
         across = slope - np.outer(along, along @ slope)
         angles = self._deviations(across)
         return float(np.linalg.norm(angles)), float(distance)
-
-    def _natural(self) -> list[dict]:
-        picture = self.problem.of_picture
-        return [p.natural(picture(self.values, k)) for k, p in enumerate(self.problem.parameters)]
-
-    def _slopes(self, pick: Callable[[dict], Array]) -> list[np.ndarray]:
-        """For each picture the derivatives of some of its parameters by the unknowns."""
-        y, unravel = ravel_pytree(self.values)
-
-        def one(k: int) -> Callable:
-            return lambda y: pick(
-                self.problem.parameters[k].natural(self.problem.of_picture(unravel(y), k))
-            ).reshape(-1)
-
-        count = len(self.problem.parameters)
-        return [np.asarray(jax.jacfwd(one(k))(y), np.float64) for k in range(count)]
 
     def _half(self, slope: Float[np.ndarray, "functions free"]) -> np.ndarray:
         """H with H H^T the covariance of functions of the unknowns."""
@@ -160,10 +150,48 @@ class Uncertainty(eqx.Module):
         return np.where(shows, np.linalg.norm(self._half(slope), axis=1), np.inf)
 
 
+def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+    """Arrays one upon another, those with fewer rows filled up with nan."""
+    stacked = np.full((len(arrays), *max(np.shape(a) for a in arrays)), np.nan)
+    for k, a in enumerate(arrays):
+        stacked[(k, *map(slice, np.shape(a)))] = a
+    return stacked
+
+
 def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | None) -> Uncertainty:
-    """**Arguments:** `noise`: None to estimate it from what the fit leaves."""
-    spectrum = spectrum_of(normal)
+    """**Arguments:** `normal`: the normal equations there. `noise`: None to estimate it from what
+    the fit leaves.
+    """
+    square, slopes = _in_float64(problem, values, normal)
+    size = np.linalg.norm([float(jnp.linalg.norm(t.image * t.weight)) for t in problem.targets])
+    spectrum = spectrum_of(square, float(size))
     if noise is None:
         counted = sum(t.counted for t in problem.targets)
         noise = float(np.sqrt(2 * float(normal.cost) / max(counted - spectrum.rank, 1)))
-    return Uncertainty(noise, problem, values, spectrum)
+    return Uncertainty(noise, problem, values, spectrum, slopes)
+
+
+def _in_float64(
+    problem: Problem, values: PyTree, normal: Normal
+) -> tuple[Float[np.ndarray, "free free"], list[Float[np.ndarray, "_ free"]]]:
+    """J^T J, and the derivatives of the free parameters by the unknowns.
+
+    In float32 too: there the squares of what shows little are lost among the rounding errors of
+    what shows much, and nothing could be said of what does not show at all.
+    """
+    if problem.dtype == np.float64:
+        return np.asarray(normal.square), [np.asarray(s) for s in _slopes(problem, values)]
+    wide = lambda x: x.astype(np.float64) if eqx.is_inexact_array(x) else x
+    with jax.enable_x64(True):
+        problem, values = jax.tree.map(wide, (problem, values))
+        return _in_float64(problem, values, _normal(problem, values))
+
+
+@eqx.filter_jit
+def _normal(problem: Problem, values: PyTree) -> Normal:
+    return problem.normal(values)
+
+
+@eqx.filter_jit
+def _slopes(problem: Problem, values: PyTree) -> list[Float[Array, "_ free"]]:
+    return [problem.slope(values, k) for k in range(len(problem.parameters))]
