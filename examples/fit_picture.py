@@ -24,11 +24,11 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)  # for more than six digits
     warnings.simplefilter("ignore", st.SceneWarning)
 
-    truth = st.load_scene(SCENE)
-    target = st.render(truth, width=size, height=size, samples=1, bounces=1)
+    truth = st.load_scene(SCENE).with_antialias(0)  # single rays, which compile quickly
+    target = st.render(truth, width=size, height=size, bounces=1)
     start = wrong_start(truth)
     found = st.fit(
-        start, target, samples=1, bounces=1,
+        start, target, bounces=1,
         callback=lambda p: print(f"step {p.step:2}: cost {p.cost:.3e}"),
     )  # fmt: skip
     print(found.trust.verdict)

@@ -34,7 +34,7 @@ def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
     ("size", "options"),
     [
         pytest.param(128, PLAIN, id="one ray"),
-        pytest.param(48, {}, id="antialiased with reflections"),
+        pytest.param(48, {}, id="antialiased with reflections", marks=pytest.mark.slow),
         pytest.param(128, {}, id="antialiased with reflections, large", marks=pytest.mark.slow),
     ],
 )

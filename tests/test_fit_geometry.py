@@ -71,6 +71,7 @@ def camera_error(found: st.Scene, truth: st.Scene) -> float:
     return float(np.abs([a.theta - b.theta, a.phi - b.phi, *lengths]).max())
 
 
+@pytest.mark.slow
 def test_centres_and_radii_come_back_to_1e_8():
     truth = two_over_a_floor()
     found = st.fit(displaced_two(), st.render(truth, **SMALL), free=SPHERES)

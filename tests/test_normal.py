@@ -22,14 +22,14 @@ CASES = {
         dict(samples=2),
         dict(loss="cauchy", weights=np.random.default_rng(1).uniform(0, 2, (20, 24, 3))),
     ),
+}
+SLOW = {
     "bubbles and mirrors": (
         SCENES["glass"],
         ("color", "kgr", "kt", "light_color", "theta", "mu"),
         dict(bounces=2),
         {},
     ),
-}
-SLOW = {
     "planes": (SCENES["planes"], ("ks", "light_position", "phi", "distance"), dict(bounces=1), {}),
     "textures and a sky": (SCENES["textures"], ("kd", "theta", "mu"), dict(bounces=1), {}),
     "covered edges": (nine_spheres(SHADOWED).with_antialias(1), SOLID, {}, dict(loss="huber")),
