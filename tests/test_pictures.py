@@ -193,7 +193,7 @@ OWN = "own must name free parameters of lights or camera, got {}"
         ([], [], {}, COUNT.format(0, 0)),
         ([FRONT, DARK], [TARGET] * 2, {}, "scene 2 has other spheres than the first"),
         ([FRONT, BACK, FLOORED], [TARGET] * 3, {}, "scene 3 has other planes than the first"),
-        ([FRONT, TWO_LIGHTS], [TARGET] * 2, {}, "scene 2 has 2 lights, the first 1"),
+        ([FRONT, TWO_LIGHTS], [TARGET] * 2, {}, ALIKE.format("light_position", 2)),
         (LIGHTS, [TARGET] * 2, {}, ALIKE.format("light_position", 2)),
         (CAMERAS, [TARGET] * 2, dict(free=("ks", "theta")), ALIKE.format("theta", 2)),
         (

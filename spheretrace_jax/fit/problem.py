@@ -84,7 +84,8 @@ class Problem(eqx.Module):
         if len(scenes) == len(self.parameters):
             starts = list(scenes)
         else:
-            first, names = scenes[0], [n for n in self.parameters[0].free if n != "exposure"]
+            first = scenes[0]
+            names = [n for n in self.parameters[0].free if n != "exposure" and n not in self.own]
             at = lambda s: [PLACES[name](s) for name in names]
             starts = [eqx.tree_at(at, p.scene, at(first)) for p in self.parameters]
         parameters = tuple(

@@ -34,8 +34,11 @@ def solution(
 
     **Raises:** an error at run time if the solver does not converge.
     """
+    # functions without closures, which those that are checked at test time have
+    primal, rewrite = lambda inputs: _solve(inputs), lambda *inputs: _pull(*inputs)
+    inputs = problem, max_steps, rtol, atol
     values, _ = optx.internal.implicit_jvp(
-        _solve, _pull, (problem, max_steps, rtol, atol), frozenset(), lx.SVD(rcond=_HIDDEN)
+        primal, rewrite, inputs, frozenset(), lx.SVD(rcond=_HIDDEN)
     )
     return problem.place(values)
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, ArrayLike, Float, PyTree, Scalar
+from jaxtyping import Array, Float, PyTree, Scalar
 
 from .._types import Highlight
 from ..errors import InputError, SceneWarning
@@ -28,7 +28,7 @@ from .uncertainty import Uncertainty, estimate
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
 
-# Robust losses need the noise, which is estimated again after each fit, at most so often.
+# What is estimated from a fit's residuals is estimated again after the next, at most so often.
 _MOST_ROUNDS = 6
 
 
@@ -108,9 +108,9 @@ def fit(
     highlight: Highlight = "phong",
     bounces: int = 5,
     samples: int = 1,
-    mask: ArrayLike | None = None,
-    weights: ArrayLike | None = None,
-    noise: ArrayLike | None = None,
+    mask: Any = None,
+    weights: Any = None,
+    noise: Any = None,
     darkest: float | None = None,
     loss: Loss = "square",
     start: Literal["scene", "auto"] = "scene",
@@ -324,15 +324,15 @@ class _Run:
         estimated = problem.targets[0].loss != "square" and noise is None
         for _ in range(_MOST_ROUNDS if estimated else 1):
             if estimated:
-                before, problem = problem.noise, problem.with_noise_at(values)
-                if self.costs and np.allclose(problem.noise, before, rtol=0.02):
+                again = problem.with_noise_at(values)
+                if self.costs and np.allclose(again.noise, problem.noise, rtol=0.02):
                     break
+                problem = again
             values = self.solve(problem, values)
             if self.interrupted or not self.converged:
                 break
-        else:
-            if self.converged and not self.interrupted:
-                values = self._past_shadows(problem, values)
+        if self.converged and not self.interrupted and not estimated:
+            values = self._past_shadows(problem, values)
         values, placed = _finish(problem, values, gauge)
         counted = sum(t.counted for t in problem.targets)
         return Fit(
@@ -354,7 +354,8 @@ class _Run:
         """A second look where single rays may hold a light on the wrong side of a shadow's edge.
 
         As the edge moves, such a picture jumps from pixel to pixel, without a derivative. The few
-        pixels that fit worst are left out once; where the others lead is kept if it is better.
+        numbers that fit worst are left out, others each time as long as that helps (least trimmed
+        squares, Rousseeuw 1984); where the rest leads is kept if all then fit better.
         """
         shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
         if (
@@ -364,7 +365,12 @@ class _Run:
         ):
             return values
         cost, before, result = self.costs[-1], len(self.costs), self.result
-        elsewhere = self.solve(problem.without_worst_at(values), values)
+        elsewhere, least = values, np.inf
+        for _ in range(_MOST_ROUNDS):
+            elsewhere = self.solve(problem.without_worst_at(elsewhere), elsewhere)
+            if self.interrupted or not self.costs[-1] < 0.5 * least:
+                break
+            least = self.costs[-1]
         without = len(self.costs)
         if self.converged and not self.interrupted:
             elsewhere = self.solve(problem, elsewhere)
@@ -381,7 +387,7 @@ class _Run:
         try:
             args = self._args(problem, values)
             state = _init(self.solver, self.fn, args, values)
-            while len(self.costs) < self.max_steps:
+            for _ in range(self.max_steps):
                 values, cost, state, move = _step(self.solver, self.fn, args, values, state)
                 self.costs.append(float(cost))
                 self._tell(problem, values, state)
@@ -414,4 +420,6 @@ class _Run:
         size = float(getattr(state.search_state, "step_size", 1.0))
         damping = 1 / size if size else float("inf")
         best = scenes[0] if len(scenes) == 1 else scenes
-        self.callback(Progress(len(self.costs), self.max_steps, self.costs[-1], damping, best))
+        steps = len(self.costs)
+        most = max(self.max_steps, steps)
+        self.callback(Progress(steps, most, self.costs[-1], damping, best))

@@ -110,7 +110,10 @@ def _structure(
     The structure is the part of the power that is shared with the right and lower neighbours, and
     that of numbers beyond six standard deviations, as the median has them.
     """
-    residual = np.asarray(target.residual(picture, exposure), np.float64)
+    residual = np.asarray(target.misfit(picture, exposure), np.float64)
+    robust = target.loss != "square"
+    if robust:  # outliers are no fault of the scene's
+        residual = np.clip(residual, -3 * float(target.noise), 3 * float(target.noise))
     counts = np.asarray(target.weight) > 0
     shared, power, pairs = 0.0, 0.0, 0
     for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
@@ -120,7 +123,8 @@ def _structure(
         pairs += np.sum(both)
     share = shared / power - 4 / np.sqrt(pairs) if power > 0 else 0.0
     square = residual[counts] ** 2
-    outliers = np.where(square > 36 * 1.4826**2 * np.median(square), square, 0)
+    most = np.inf if robust else 36 * 1.4826**2 * np.median(square)
+    outliers = np.where(square > most, square, 0)
     structure = max(share, 0) * np.mean(square) + np.mean(outliers)
     row, column = np.unravel_index(_smooth(residual).argmax(), residual.shape[:2])
     # neighbouring levels of 8 bits are further apart than rounding, also where it is dark

@@ -165,7 +165,9 @@ def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | No
     square, slopes = _in_float64(problem, values, normal)
     size = np.linalg.norm([float(jnp.linalg.norm(t.image * t.weight)) for t in problem.targets])
     spectrum = spectrum_of(square, float(size))
-    if noise is None:
+    if noise is None and problem.targets[0].loss != "square":
+        noise = float(np.mean(problem.noise))  # that of the median, which outliers leave be
+    elif noise is None:
         counted = sum(t.counted for t in problem.targets)
         noise = float(np.sqrt(2 * float(normal.cost) / max(counted - spectrum.rank, 1)))
     return Uncertainty(noise, problem, values, spectrum, slopes)

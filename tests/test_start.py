@@ -1,0 +1,91 @@
+"""Fits from nothing: the geometry is known, and how many lights there are."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spheretrace_jax as st
+from spheretrace_jax.report import determined
+
+PLAIN = dict(bounces=0)
+SIZE = dict(width=64, height=64)
+SPHERES = st.Spheres(
+    [[-90.0, 60, 0], [80, 70, 60], [10, -90, -40]],
+    [80.0, 60, 90],
+    [[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
+    ka=[0.2, 0.15, 0.3],
+    kd=[0.6, 0.5, 0.4],
+    ks=[0.4, 0.2, 0.3],
+    exponent=[5.0, 60, 20],
+)
+CAMERA = st.Camera(0.0, 0.0, 1200.0, 1200.0)
+
+
+def world(*lights) -> st.Scene:
+    return st.Scene(SPHERES, st.Lights(list(lights)), CAMERA)
+
+
+def grey(truth: st.Scene) -> st.Scene:
+    """The geometry alone: everything that is free is the same, and the lights are at one place."""
+    s = truth.spheres
+    places = lambda x: (
+        x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks, x.lights.position,
+    )  # fmt: skip
+    light = jnp.broadcast_to(jnp.asarray([0.0, 0, 900]), truth.lights.position.shape)
+    half = [jnp.full_like(x, 0.5) for x in (s.color, s.ka, s.kd, s.ks)]
+    return eqx.tree_at(places, truth, (*half, light))
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        pytest.param(world([900.0, -400, 700]), id="one light"),
+        pytest.param(world([-40000.0, 30000, 9000]), id="far and from the side"),
+        pytest.param(world([600.0, -300, 1500], [-500, 400, 1200]), id="two lights"),
+    ],
+)
+def test_everything_is_found_from_nothing(truth):
+    target = st.render(truth, **SIZE, **PLAIN)
+    found = st.fit(grey(truth), target, start="auto", **PLAIN)
+    assert found.converged and found.trust.ok
+    a, b = determined(found.scene), determined(truth)
+    for name in ("ka*color", "kd*color", "ks"):
+        np.testing.assert_allclose(a[name], b[name], atol=1e-8)
+    order = [np.linalg.norm(a["light_position"] - p, axis=1).argmin() for p in b["light_position"]]
+    np.testing.assert_allclose(a["light_position"][order], b["light_position"], rtol=1e-6)
+
+
+def test_what_is_known_is_used_and_kept():
+    truth = world([900.0, -400, 700])
+    known = eqx.tree_at(lambda s: s.lights.position, truth, jnp.asarray([[0.0, 0, 900]]))
+    target = st.render(truth, **SIZE, **PLAIN)
+    found = st.fit(known, target, free=("light_position",), start="auto", **PLAIN)
+    np.testing.assert_allclose(found.scene.lights.position, truth.lights.position, rtol=1e-8)
+    assert eqx.tree_equal(found.scene.spheres, truth.spheres)
+
+
+@pytest.mark.slow
+def test_a_picture_of_something_else_is_not_trusted():
+    other = eqx.tree_at(lambda s: s.center, SPHERES, SPHERES.center[::-1])
+    target = st.render(st.Scene(other, st.Lights([[900.0, -400, 700]]), CAMERA), **SIZE, **PLAIN)
+    found = st.fit(grey(world([0.0, 0, 900])), target, start="auto", **PLAIN)
+    assert not found.trust.ok
+    assert "does NOT explain" in found.trust.verdict or "NOT converged" in found.trust.verdict
+
+
+@pytest.mark.parametrize(
+    ("scene", "settings", "message"),
+    [
+        (world([0.0, 0, 900]), dict(free=("radius",)), "a known geometry, got radius free"),
+        (
+            st.Scene(SPHERES, st.Lights(np.zeros((0, 3))), CAMERA),
+            dict(free=("color",)),
+            "the scene has none",
+        ),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:radius free")
+def test_starts_that_cannot_be_are_refused(scene, settings, message):
+    with pytest.raises(st.InputError, match=message):
+        st.fit(scene, np.full((8, 8, 3), 0.5), **(dict(start="auto") | settings))
