@@ -5,15 +5,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .normal import Normal
-from .reasons import names_of, reasons
+from .reasons import names_of
 from .uncertainty import Uncertainty
 
 # Logarithms, angles and parts of their range that are known to no better than this are as good as
 # not determined.
 _WEAK = 0.5
-
-# Parts of a direction of length 1 that are rounding errors, or say nothing that is not said yet.
-_NOTHING = 1e-6
 
 
 class Identifiability(eqx.Module):
@@ -33,20 +30,12 @@ class Identifiability(eqx.Module):
 def identify(uncertainty: Uncertainty, normal: Normal | None = None) -> Identifiability:
     """What the pictures determine at a solution.
 
-    A reason that is known by structure is named if J^T J confirms it; what else J^T J leaves open
-    is named by its largest parts.
+    Reasons that are known by structure are named; what else J^T J leaves open is named by its
+    largest parts.
     """
     problem, spectrum = uncertainty.problem, uncertainty.spectrum
-    words, explained = [], np.zeros((spectrum.scale.size, 0))
-    known = reasons(problem, uncertainty.values, spectrum.hidden, uncertainty.slopes)
-    for sentence, directions in known:
-        new = _beyond(directions * spectrum.scale[:, None], explained)
-        if new.shape[1] and spectrum.shown(new).max() <= spectrum.least:
-            explained = np.concatenate([explained, new], axis=1)
-            words.append(sentence)
-    names = np.asarray(names_of(problem))
-    left = spectrum.null.shape[1] - explained.shape[1]
-    for direction in _sparse(_rest(spectrum.null, explained, left)).T:
+    words, names = list(uncertainty.reasons), np.asarray(names_of(problem))
+    for direction in _sparse(_rest(spectrum.null, uncertainty.explained)).T:
         large = np.abs(direction) > 0.3 * np.abs(direction).max()
         parts = list(dict.fromkeys(names[large]))
         what = parts[0] if len(parts) == 1 else f"a combination of {', '.join(parts)}"
@@ -60,20 +49,10 @@ def identify(uncertainty: Uncertainty, normal: Normal | None = None) -> Identifi
     )
 
 
-def _beyond(directions: np.ndarray, explained: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of what some directions, of any length, say that is not explained."""
-    length = np.linalg.norm(directions, axis=0)
-    directions = directions[:, length > 0] / length[length > 0]
-    left, size, _ = np.linalg.svd(
-        directions - explained @ (explained.T @ directions), full_matrices=False
-    )
-    return left[:, size > _NOTHING]
-
-
-def _rest(null: np.ndarray, explained: np.ndarray, count: int) -> np.ndarray:
-    """Those `count` directions of an orthonormal basis that are least explained."""
+def _rest(null: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """A basis of what is not explained of the directions that do not show."""
     left, _, _ = np.linalg.svd(null - explained @ (explained.T @ null), full_matrices=False)
-    return left[:, : max(count, 0)]
+    return left[:, : max(null.shape[1] - explained.shape[1], 0)]
 
 
 def _sparse(basis: np.ndarray) -> np.ndarray:

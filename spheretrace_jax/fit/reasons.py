@@ -1,7 +1,4 @@
-"""Why a number may not show in any picture: what is known without looking at J^T J.
-
-Each reason is a sentence and the directions of the unknowns that do not show if it is true.
-"""
+"""Why a number may not show in any picture: what is known without looking at J^T J."""
 
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
@@ -23,7 +20,6 @@ from ..world import build_world, surface_at
 from .parameters import LIGHTS, SPHERES
 from .problem import Problem
 
-Directions = Float[np.ndarray, "free directions"]
 Numbers = dict[str, Any]
 """Free parameters by name, or how they change."""
 
@@ -81,13 +77,21 @@ def placed(problem: Problem) -> dict[str, list[np.ndarray]]:
     return places
 
 
+class Reason(eqx.Module):
+    """A sentence that may be true."""
+
+    sentence: str
+    directions: Float[np.ndarray, "free directions"]  #: of the unknowns, which do not show then
+    certain: bool = False  #: whether it is true whatever J says, but for its own errors
+
+
 def reasons(
     problem: Problem,
     values: PyTree,
     hidden: Bool[np.ndarray, " free"],
     slopes: list[Float[np.ndarray, "_ free"]],
-) -> Iterator[tuple[str, Directions]]:
-    """Sentences, and the directions that do not show if they are true.
+) -> Iterator[Reason]:
+    """What may be true, and is if its directions do not show.
 
     **Arguments:** `hidden`: which unknowns no picture depends on. `slopes`: of each picture's
     free parameters the derivatives by the unknowns.
@@ -96,18 +100,22 @@ def reasons(
     unit, left, names = np.eye(hidden.size), hidden.copy(), np.asarray(names_of(problem))
     for sentence, at in (*_hidden_spheres(point), *_hidden_lights(point)):
         left[at] = False
-        yield sentence, unit[:, at]
+        yield Reason(sentence, unit[:, at])
     for name in dict.fromkeys(names[left]):
-        yield f"{name} is not determined", unit[:, left & (names == name)]
+        yield Reason(f"{name} is not determined", unit[:, left & (names == name)])
 
     slope = np.concatenate(slopes)
     length = np.linalg.norm(slope, axis=0)
-    length = np.where(length > 0, length, 1)
-    back = np.linalg.pinv(slope / length) / length[:, None]
-    for sentence, moves in (*_scales(point), *_lights(point), *_world(point)):
-        directions = back @ np.stack([point.change(move) for move in moves], axis=1)
-        # what does not show at all has had a sentence of its own
-        yield sentence, np.where(hidden[:, None], 0, directions)
+    slope = slope / np.where(length > 0, length, 1)
+    # nearly diagonal, so that its square loses no digits
+    back = np.linalg.solve(slope.T @ slope + np.diag(1.0 * (length == 0)), slope.T)
+    back = back / np.where(length > 0, length, 1)[:, None]
+    for of in (_scales, _lights, _world):
+        for sentence, moves in of(point):
+            directions = back @ np.stack([point.change(move) for move in moves], axis=1)
+            # what does not show at all has had a sentence of its own
+            directions = np.where(hidden[:, None], 0, directions)
+            yield Reason(sentence, directions, certain=of is _world and point.nothing_stays)
 
 
 class Shown(eqx.Module):
@@ -145,6 +153,14 @@ class _Point:
         """
         own = set(names) <= self.own
         return [(_of(k), [k]) for k in self.every] if own else [("", self.every)]
+
+    @property
+    def nothing_stays(self) -> bool:
+        """Whether the world is free to move with the eye: all that has a place or axes is free."""
+        scene = self.scenes[0]
+        fixed = len(scene.planes) or scene.back_plane or scene.sky or any(scene.spheres.pic)
+        lights = "light_position" in self.free or not len(scene.lights)
+        return "center" in self.free and lights and not fixed and len(self.scenes) == 1
 
     def unseen(self, at: list[int]) -> list[int]:
         """The lights that reach nothing that is seen in some pictures."""

@@ -6,7 +6,7 @@ infinite standard deviation; functions of the scene that they do determine, such
 a finite one all the same.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -19,10 +19,18 @@ from jaxtyping import Array, Bool, Float, PyTree
 from .normal import Normal
 from .parameters import extent
 from .problem import Problem
+from .reasons import Reason, reasons
 
 # Eigenvalues of the scaled J^T J below so many rounding errors are 0, and so are columns of J that
 # are no longer than so many rounding errors of the picture.
 _ROUNDING = 1e3
+
+# What is part of a direction of length 1 by no more than this says nothing new.
+_NOTHING = 1e-6
+
+# How much a direction may show, in units of J with columns of length 1, where it is certain that it
+# does not: derivatives where shadow edges are covered are good to 1 % (docs/edges.md).
+_EDGES = 1e-2
 
 # A function that depends on undetermined directions by more than this is not determined.
 _DEPENDS = 1e-5
@@ -52,9 +60,15 @@ class Spectrum(eqx.Module):
         """The directions that do not show, as columns."""
         return self.vectors[:, self.rank :]
 
-    def shown(self, directions: Float[np.ndarray, "free count"]) -> Float[np.ndarray, " count"]:
-        """The squares of what directions of length 1 show."""
-        return self.values @ (self.vectors.T @ directions) ** 2
+    def shown(self, directions: Float[np.ndarray, "free count"]) -> float:
+        """The most that is shown of any of some directions of length 1, squared."""
+        return float(np.max(self.values @ (self.vectors.T @ directions) ** 2, initial=0))
+
+    def without(self, directions: Float[np.ndarray, "free count"]) -> "Spectrum":
+        """The same where orthonormal directions do not show."""
+        kept = self.vectors - directions @ (directions.T @ self.vectors)
+        values, vectors = _eigen((kept * self.values) @ kept.T)
+        return eqx.tree_at(lambda s: (s.values, s.vectors), self, (values, vectors))
 
 
 def spectrum_of(square: Float[np.ndarray, "free free"], size: float) -> Spectrum:
@@ -65,9 +79,14 @@ def spectrum_of(square: Float[np.ndarray, "free free"], size: float) -> Spectrum
     # any length would do for them; one like the others' keeps functions of both comparable
     scale = np.where(hidden, np.median(scale[~hidden]) if not hidden.all() else 1.0, scale)
     seen = ~hidden[:, None] & ~hidden[None, :]
-    values, vectors = np.linalg.eigh(np.where(seen, square / scale[:, None] / scale[None, :], 0))
-    values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
-    return Spectrum(scale, hidden, values, vectors, least=rounding * values.size)
+    values, vectors = _eigen(np.where(seen, square / scale[:, None] / scale[None, :], 0))
+    return Spectrum(scale, hidden, values, vectors, least=float(rounding * values.size))
+
+
+def _eigen(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The eigenvalues, largest first, none below 0 as rounding may have them, and eigenvectors."""
+    values, vectors = np.linalg.eigh(square)
+    return np.maximum(values[::-1], 0), np.ascontiguousarray(vectors[:, ::-1])
 
 
 class Uncertainty(eqx.Module):
@@ -79,6 +98,8 @@ class Uncertainty(eqx.Module):
     spectrum: Spectrum
     #: of each picture's free parameters, in its layout, the derivatives by the unknowns
     slopes: list[Float[np.ndarray, "_ free"]]
+    reasons: tuple[str, ...]  #: sentences why something does not show
+    explained: Float[np.ndarray, "free count"]  #: what they say, orthonormal in scaled unknowns
 
     @property
     def standard_deviations(self) -> dict[str, np.ndarray]:
@@ -150,7 +171,7 @@ class Uncertainty(eqx.Module):
         return np.where(shows, np.linalg.norm(self._half(slope), axis=1), np.inf)
 
 
-def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+def _stacked(arrays: list) -> np.ndarray:
     """Arrays one upon another, those with fewer rows filled up with nan."""
     stacked = np.full((len(arrays), *max(np.shape(a) for a in arrays)), np.nan)
     for k, a in enumerate(arrays):
@@ -165,12 +186,40 @@ def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | No
     square, slopes = _in_float64(problem, values, normal)
     size = np.linalg.norm([float(jnp.linalg.norm(t.image * t.weight)) for t in problem.targets])
     spectrum = spectrum_of(square, float(size))
+    told, explained = _confirmed(reasons(problem, values, spectrum.hidden, slopes), spectrum)
+    if spectrum.shown(explained) > spectrum.least:
+        spectrum = spectrum.without(explained)
     if noise is None and problem.targets[0].loss != "square":
         noise = float(np.mean(problem.noise))  # that of the median, which outliers leave be
     elif noise is None:
         counted = sum(t.counted for t in problem.targets)
         noise = float(np.sqrt(2 * float(normal.cost) / max(counted - spectrum.rank, 1)))
-    return Uncertainty(noise, problem, values, spectrum, slopes)
+    return Uncertainty(noise, problem, values, spectrum, slopes, told, explained)
+
+
+def _confirmed(
+    known: Iterable[Reason], spectrum: Spectrum
+) -> tuple[tuple[str, ...], Float[np.ndarray, "free count"]]:
+    """Those reasons that J^T J confirms, and that say what no other has said: their sentences,
+    and an orthonormal basis of their directions, in scaled unknowns.
+    """
+    told, explained = [], np.zeros((spectrum.scale.size, 0))
+    for reason in known:
+        new = _beyond(reason.directions * spectrum.scale[:, None], explained)
+        most = _EDGES**2 if reason.certain else spectrum.least
+        if new.shape[1] and spectrum.shown(new) <= most:
+            explained = np.concatenate([explained, new], axis=1)
+            told.append(reason.sentence)
+    return tuple(told), explained
+
+
+def _beyond(directions: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of what some directions, of any length, say that is not explained."""
+    length = np.linalg.norm(directions, axis=0)
+    directions = directions[:, length > 0] / length[length > 0]
+    new = directions - explained @ (explained.T @ directions)
+    left, size, _ = np.linalg.svd(new, full_matrices=False)
+    return left[:, size > _NOTHING]
 
 
 def _in_float64(
