@@ -143,7 +143,9 @@ def test_numbers_at_1_count_in_pictures_that_go_beyond():
     assert make_target(picture, np.dtype(np.float64)).counted == 12
 
 
-@pytest.mark.parametrize("solver", [optx.Dogleg, optx.GaussNewton, optx.LevenbergMarquardt])
+@pytest.mark.parametrize(
+    "solver", [optx.Dogleg, optx.GaussNewton, optx.LevenbergMarquardt, optx.BFGS]
+)
 def test_solvers_of_optimistix_can_be_chosen(solver):
     truth = with_random_colors(nine_spheres(LIGHT))
     target = st.render(truth, **SIZE, **PLAIN)

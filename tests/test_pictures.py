@@ -7,8 +7,8 @@ import pytest
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.fit.problem import Problem, make_problem
-from spheretrace_jax.fit.solve import DEFAULT_FREE, _normal
+from spheretrace_jax.fit.problem import Problem, make_problem, normal_at
+from spheretrace_jax.fit.solve import DEFAULT_FREE
 from spheretrace_jax.report import determined
 
 PLAIN = dict(bounces=0, samples=1)
@@ -69,7 +69,7 @@ def problem_of(scenes, targets, **counts) -> Problem:
 def normal_of(scenes, targets, **counts):
     """The normal equations at the start."""
     problem = problem_of(scenes, targets, **counts)
-    return _normal(problem, problem.start())
+    return normal_at(problem, problem.start())
 
 
 def assert_sum(whole, *parts) -> None:

@@ -11,8 +11,8 @@ import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
 from spheretrace_jax.fit.gauge import settle
 from spheretrace_jax.fit.parameters import extent
-from spheretrace_jax.fit.problem import Problem, make_problem
-from spheretrace_jax.fit.solve import DEFAULT_FREE, _normal
+from spheretrace_jax.fit.problem import Problem, make_problem, normal_at
+from spheretrace_jax.fit.solve import DEFAULT_FREE
 from spheretrace_jax.fit.target import Target, make_target
 from spheretrace_jax.report import determined
 
@@ -66,7 +66,7 @@ def problem_of(target, **counts) -> Problem:
 def normal_of(target, **counts):
     """The normal equations at the start."""
     problem = problem_of(target, **counts)
-    return _normal(problem, problem.start())
+    return normal_at(problem, problem.start())
 
 
 def light_error(found: st.Scene) -> float:

@@ -1,3 +1,4 @@
 """Scene parameters from pictures."""
 
-from .solve import Fit as Fit, Progress as Progress, fit as fit
+from .run import Progress as Progress
+from .solve import Fit as Fit, fit as fit

@@ -4,8 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .normal import Normal
-from .reasons import names_of
+from .names import names_of, of_picture
 from .uncertainty import Uncertainty
 
 # Logarithms, angles and parts of their range that are known to no better than this are as good as
@@ -27,14 +26,14 @@ class Identifiability(eqx.Module):
         return "\n".join([first, *self.undetermined, *self.weak])
 
 
-def identify(uncertainty: Uncertainty, normal: Normal | None = None) -> Identifiability:
+def identify(uncertainty: Uncertainty) -> Identifiability:
     """What the pictures determine at a solution.
 
     Reasons that are known by structure are named; what else J^T J leaves open is named by its
     largest parts.
     """
     problem, spectrum = uncertainty.problem, uncertainty.spectrum
-    words, names = list(uncertainty.reasons), np.asarray(names_of(problem))
+    words, names = list(uncertainty.reasons), names_of(problem)
     for direction in _sparse(_rest(spectrum.null, uncertainty.explained)).T:
         large = np.abs(direction) > 0.3 * np.abs(direction).max()
         parts = list(dict.fromkeys(names[large]))
@@ -73,7 +72,7 @@ def _sparse(basis: np.ndarray) -> np.ndarray:
 def _weak(uncertainty: Uncertainty) -> list[str]:
     """What is determined in principle, but to no better than its own size."""
     deviations = uncertainty.of_unknowns
-    names = np.asarray(names_of(uncertainty.problem))
+    names = names_of(uncertainty.problem)
     weak = np.isfinite(deviations) & (deviations > _WEAK)
     words = [
         f"{name} is lost in the noise"
@@ -85,7 +84,7 @@ def _weak(uncertainty: Uncertainty) -> list[str]:
         return words
     own = "light_position" in problem.own
     for k, parameters in enumerate(problem.parameters if own else problem.parameters[:1]):
-        of = f" of picture {k + 1}" if own else ""
+        of = of_picture(k) if own else ""
         for i in range(len(parameters.scene.lights)):
             angle, distance = uncertainty.of_light(k, i)
             if angle <= _WEAK < distance:

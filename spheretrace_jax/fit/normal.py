@@ -43,10 +43,8 @@ from .target import Target
 # has at most so many numbers, 12 MB in float64.
 MOST_NUMBERS = 1 << 19
 
-
 # A pixel and its neighbours left, right, above and below: how far to the right, and down.
 _BESIDE = (0, -1, 1, 0, 0), (0, 0, 0, -1, 1)
-
 
 Look = Callable[..., Vec]
 """What pixels see: of a scene, its world, pixels, which of them count, and a place in them."""
@@ -149,7 +147,7 @@ class _Sums(eqx.Module):
             at = columns[:, None], columns[None, :]
             square = normal.square.at[at].add(products[:-1, :-1], mode="drop")
             gradient = normal.gradient.at[columns].add(products[:-1, -1], mode="drop")
-            if layout.exposure is not None and self.by_exposure is not None:
+            if self.by_exposure is not None:
                 cross = jnp.sum(row * pick(self.by_exposure)[None], axis=-1)
                 to = jnp.asarray(layout.exposure)
                 square = square.at[columns[:, None], to[None, :]].add(cross, mode="drop")

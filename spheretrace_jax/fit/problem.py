@@ -1,6 +1,6 @@
 """`Problem`: the least-squares problem of a fit, for one picture or for several of one world."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from .._types import Highlight, Picture
 from ..errors import InputError
@@ -47,23 +47,24 @@ class Problem(eqx.Module):
 
     def start(self) -> PyTree:
         """The unknowns at the start."""
-        starts = [p.start() for p in self.parameters]
-        return {
-            name: [s[name] for s in starts] if name in self.own else shared
-            for name, shared in starts[0].items()
-        }
+        return self._gathered([p.start() for p in self.parameters])
 
     def bounds(self) -> tuple[PyTree, PyTree]:
         """The least and the greatest that the unknowns may be."""
-        bounds = [p.bounds() for p in self.parameters]
+        least, most = zip(*(p.bounds() for p in self.parameters), strict=True)
+        return self._gathered(least), self._gathered(most)
 
-        def gather(side: int) -> PyTree:
-            return {
-                name: [b[side][name] for b in bounds] if name in self.own else shared
-                for name, shared in bounds[0][side].items()
-            }
+    def _gathered(self, each: Sequence[dict]) -> PyTree:
+        """Of all pictures' unknowns what each has of its own, and the first one's others."""
+        return {
+            name: [values[name] for values in each] if name in self.own else shared
+            for name, shared in each[0].items()
+        }
 
-        return gather(0), gather(1)
+    def at_bounds(self, values: PyTree) -> Bool[Array, " free"]:
+        """Which of the unknowns are as little or as much as they may be."""
+        y, least, most = (ravel_pytree(v)[0] for v in (values, *self.bounds()))
+        return (y <= least) | (y >= most)
 
     def of_picture(self, values: PyTree, k: int) -> dict:
         """The unknowns that picture k depends on."""
@@ -99,6 +100,11 @@ class Problem(eqx.Module):
         return self.parameters[0].scene.dtype
 
     @property
+    def counted(self) -> int:
+        """How many of the targets' numbers count."""
+        return sum(t.counted for t in self.targets)
+
+    @property
     def noise(self) -> list[float]:
         """Each target's noise, as robust losses take it."""
         return [float(t.noise) for t in self.targets]
@@ -110,14 +116,15 @@ class Problem(eqx.Module):
 
     def with_noise_at(self, values: PyTree) -> "Problem":
         """The same, with each target's noise estimated from what is left at some values."""
-        pairs = zip(self.targets, self.pictures(values), strict=True)
-        targets = tuple(target.with_noise_of(*picture) for target, picture in pairs)
-        return eqx.tree_at(lambda p: p.targets, self, targets)
+        return self._with_targets(Target.with_noise_of, values)
 
     def without_worst_at(self, values: PyTree) -> "Problem":
         """The same without the numbers that fit worst at some values."""
+        return self._with_targets(Target.without_worst, values)
+
+    def _with_targets(self, change: Callable[..., Target], values: PyTree) -> "Problem":
         pairs = zip(self.targets, self.pictures(values), strict=True)
-        targets = tuple(target.without_worst(*picture) for target, picture in pairs)
+        targets = tuple(change(target, *picture) for target, picture in pairs)
         return eqx.tree_at(lambda p: p.targets, self, targets)
 
     def layout(self, k: int) -> Layout:
@@ -146,6 +153,12 @@ class Problem(eqx.Module):
             return jnp.concatenate([parts[n].reshape(-1) for n in self.parameters[k].free])
 
         return jax.jacfwd(natural)(y)
+
+
+@eqx.filter_jit
+def normal_at(problem: Problem, values: PyTree) -> Normal:
+    """`Problem.normal`, compiled: for all that asks for it on the host."""
+    return problem.normal(values)
 
 
 @jax.custom_jvp

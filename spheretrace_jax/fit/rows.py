@@ -72,9 +72,8 @@ def jacobian_rows(
         _, pull = jax.vjp(reverse, at_own(own), lights)
         seeds = [jnp.zeros_like(slope).at[c].set(slope[c]) for c in range(3)]
         columns, lights = jax.vmap(pull, out_axes=-2)(Vec(*seeds))
-        n = len(scene.spheres)
         # of colours and centres the three parts side by side; planes have no free parameters
-        parts = [jnp.stack(jax.tree.leaves(c), axis=1)[: max(n, 1)] for c in columns]
+        parts = [jnp.stack(jax.tree.leaves(c), axis=1)[: len(scene.spheres)] for c in columns]
         rows += [part.reshape(-1, 3, count) for part in (*parts, *lights)]
     if layout.camera:
         at_camera = lambda scene: [CAMERA[name](scene) for name in layout.camera]

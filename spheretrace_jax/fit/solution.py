@@ -46,13 +46,11 @@ def solution(
 def _solve(inputs: tuple) -> tuple[PyTree, Bool[Array, " free"]]:
     """The unknowns at the solution, and which of them are held at a bound."""
     problem, max_steps, rtol, atol = inputs
-    least, most = problem.bounds()
-    solver = BoundedLevenbergMarquardt(rtol, atol, least, most)
+    solver = BoundedLevenbergMarquardt(rtol, atol, *problem.bounds())
     found = optx.least_squares(
         compressed_residual, solver, problem.start(), problem, {"jac": "bwd"}, max_steps=max_steps
     )
-    y, least, most = (ravel_pytree(v)[0] for v in (found.value, least, most))
-    return found.value, (y <= least) | (y >= most)
+    return found.value, problem.at_bounds(found.value)
 
 
 def _pull(values: PyTree, held: Bool[Array, " free"], inputs: tuple) -> Float[Array, " free"]:

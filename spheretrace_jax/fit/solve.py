@@ -6,21 +6,21 @@ from functools import cached_property
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree, Scalar
+from jaxtyping import Array, Float, PyTree
 
 from .._types import Highlight
 from ..errors import InputError, SceneWarning
+from ..scene import Scene
 from .bounded import BoundedLevenbergMarquardt
 from .gauge import GAUGES, Gauge, settle
 from .identify import Identifiability, identify
 from .normal import Normal
 from .parameters import GEOMETRY
-from .problem import Problem, compress, compressed_residual, make_problem
+from .problem import Problem, make_problem, normal_at
+from .run import Progress, Run
 from .start import propose
 from .target import Loss
 from .trust import Trust, explains, judge
@@ -32,20 +32,10 @@ DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
 _MOST_ROUNDS = 6
 
 
-class Progress(eqx.Module):
-    """Where a fit is: passed to its callback after every step."""
-
-    step: int
-    max_steps: int
-    cost: float  #: the least so far
-    damping: float  #: of the step that was tried, in units of the solver's first
-    scene: Any  #: the best one so far, a list of them where there are several pictures
-
-
 class Fit(eqx.Module):
     """What a fit found, and what is to be thought of it."""
 
-    scenes: list  #: the best scenes found, one for each picture
+    scenes: list[Scene]  #: the best scenes found, one for each picture
     exposures: list[Float[Array, " 3"]]  #: what each picture is multiplied by, per channel
     result: optx.RESULTS  #: whether the solver converged; a readable message if not
     steps: int  #: evaluations of the picture and its Jacobian
@@ -59,7 +49,7 @@ class Fit(eqx.Module):
     noise_given: bool  #: whether residuals are multiples of a known noise
 
     @property
-    def scene(self):
+    def scene(self) -> Scene:
         """The best scene found; of several pictures the first one's."""
         return self.scenes[0]
 
@@ -81,12 +71,12 @@ class Fit(eqx.Module):
     @cached_property
     def normal(self) -> Normal:
         """The normal equations at the solution."""
-        return _normal(self.problem, self.values)
+        return normal_at(self.problem, self.values)
 
     @cached_property
     def identifiability(self) -> Identifiability:
         """What the pictures determine, and in words what they do not."""
-        return identify(self.uncertainty, self.normal)
+        return identify(self.uncertainty)
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
@@ -100,8 +90,8 @@ class Fit(eqx.Module):
 
 
 def fit(
-    scene,
-    target,
+    scene: Scene | Sequence[Scene],
+    target: Any,
     *,
     free: Sequence[str] = DEFAULT_FREE,
     own: Sequence[str] = (),
@@ -116,7 +106,7 @@ def fit(
     start: Literal["scene", "auto"] = "scene",
     gauge: Gauge = "ka",
     jacobian: Literal["structured", "dense"] = "structured",
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser | None = None,
     max_steps: int = 100,
     rtol: float | None = None,
     atol: float | None = None,
@@ -158,7 +148,8 @@ def fit(
       leaves what the solver came to.
     - `jacobian`: `"dense"` hands the solver the residuals of all pixels and their whole Jacobian,
       for comparison.
-    - `solver`: any Optimistix least-squares solver, by default Levenberg-Marquardt with bounds.
+    - `solver`: any Optimistix least-squares solver or minimiser, by default Levenberg-Marquardt
+      with bounds.
     - `rtol`, `atol`: the solver's tolerances on the unknowns, which are scaled to order one, and
       on the residuals; by default 1e-10 in float64 and 1e-6 in float32.
     - `throw`: raise an error if the solver does not converge.
@@ -175,10 +166,10 @@ def fit(
         scene, target, tuple(free), tuple(own), highlight, bounces, samples,
         mask=mask, weights=weights, noise=noise, darkest=darkest, loss=loss,
     )  # fmt: skip
-    edges = [name for name in free if name in GEOMETRY]
+    edges = _geometry(free)
     if edges and not all(p.scene.antialias for p in problem.parameters):
         warnings.warn(
-            f"{_geometry(free)} free: a picture of single rays has no derivative where edges "
+            f"{edges} free: a picture of single rays has no derivative where edges "
             "move; set antialias to 1",
             SceneWarning,
             stacklevel=2,
@@ -194,13 +185,13 @@ def fit(
             method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
         else:
             method = solver
-        run = _Run(method, jacobian == "dense", rtol + atol, max_steps, callback)
-        found = run.fit(begin, gauge, noise)
+        run = Run(method, jacobian == "dense", rtol + atol, max_steps, callback)
+        found = _found(run, begin, gauge, noise)
         if best is None or not found.cost >= best.cost:
             best = found
-        if found.interrupted or (
-            found.converged and explains(found.problem, found.values, found.cost)
-        ):
+        if start == "scene" or found.interrupted:
+            break
+        if found.converged and explains(found.problem, found.values, found.cost):
             break
     assert best is not None
     if throw and not best.interrupted and not best.converged:
@@ -235,61 +226,6 @@ def _starts(problem: Problem, start: str) -> Iterator[Problem]:
 
 
 @eqx.filter_jit
-def _normal(problem: Problem, values: PyTree) -> Normal:
-    return problem.normal(values)
-
-
-class _Point(eqx.Module):
-    """A compressed residual and its Jacobian at one point."""
-
-    y: Float[Array, " free"]
-    residual: Float[Array, " compressed"]
-    jacobian: Float[Array, "compressed free"]
-
-
-def _linear(values: PyTree, point: _Point) -> tuple[Float[Array, " compressed"], None]:
-    """The residual near a point, to first order: all that a step of the Gauss-Newton family asks
-    for. So the picture's part is compiled once, whatever the solver, and the solver's quickly.
-    """
-    return point.residual + point.jacobian @ (ravel_pytree(values)[0] - point.y), None
-
-
-def _square(values: PyTree, problem: Problem) -> tuple[Scalar, None]:
-    """The cost, for solvers that minimise."""
-    return jnp.sum(compressed_residual(values, problem) ** 2) / 2, None
-
-
-def _full(values: PyTree, problem: Problem) -> tuple[Float[Array, " numbers"], None]:
-    return problem.residual(values), None
-
-
-@eqx.filter_jit
-def _point(normal: Normal, values: PyTree) -> _Point:
-    return _Point(ravel_pytree(values)[0], *compress(normal))
-
-
-@eqx.filter_jit
-def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
-    shape, _ = jax.eval_shape(fn, values, args)
-    return solver.init(fn, values, args, _options(fn), shape, None, frozenset())
-
-
-def _options(fn: Callable) -> dict[str, str]:
-    # as a matrix, not as a function that would be another for each fit and be compiled again
-    return {"jac": "bwd"} if fn is _linear else {}
-
-
-@eqx.filter_jit
-def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> tuple:
-    """The best values so far, their cost, the state, and how far the next look is."""
-    values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())
-    moves = jax.tree.map(
-        lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), state.y_eval, values
-    )
-    return values, state.f_info.as_min(), state, jnp.max(jnp.stack(jax.tree.leaves(moves)))
-
-
-@eqx.filter_jit
 def _begin(problem: Problem) -> tuple[PyTree, tuple[PyTree, PyTree]]:
     return problem.start(), problem.bounds()
 
@@ -300,126 +236,61 @@ def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, lis
     return values, problem.place(values)
 
 
-class _Run:
-    """Steps a solver from the host, so that a fit shows its progress and can be interrupted."""
-
-    def __init__(
-        self, solver: Any, dense: bool, tolerance: float, max_steps: int, callback: Callable | None
-    ):
-        self.solver, self.tolerance = solver, tolerance
-        self.max_steps, self.callback = max_steps, callback
-        self.costs: list[float] = []
-        self.result, self.interrupted = optx.RESULTS.nonlinear_max_steps_reached, False
-        self.fn = _square if isinstance(solver, optx.AbstractMinimiser) else _linear
-        if dense:
-            self.fn = _full
-
-    @property
-    def converged(self) -> bool:
-        return bool(self.result == optx.RESULTS.successful)
-
-    def fit(self, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
-        """What is found from a problem's start."""
-        values, _ = _begin(problem)
-        estimated = problem.targets[0].loss != "square" and noise is None
-        for _ in range(_MOST_ROUNDS if estimated else 1):
-            if estimated:
-                again = problem.with_noise_at(values)
-                if self.costs and np.allclose(again.noise, problem.noise, rtol=0.02):
-                    break
-                problem = again
-            values = self.solve(problem, values)
-            if self.interrupted or not self.converged:
+def _found(run: Run, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
+    """What is found from a problem's start."""
+    values, _ = _begin(problem)
+    estimated = problem.targets[0].loss != "square" and noise is None
+    for _ in range(_MOST_ROUNDS if estimated else 1):
+        if estimated:
+            again = problem.with_noise_at(values)
+            if run.costs and np.allclose(again.noise, problem.noise, rtol=0.02):
                 break
-        if self.converged and not self.interrupted and not estimated:
-            values = self._past_shadows(problem, values)
-        values, placed = _finish(problem, values, gauge)
-        counted = sum(t.counted for t in problem.targets)
-        return Fit(
-            scenes=[scene for scene, _ in placed],
-            exposures=[exposure for _, exposure in placed],
-            result=self.result,
-            steps=len(self.costs),
-            cost=self.costs[-1] if self.costs else float("nan"),
-            costs=tuple(self.costs),
-            left_out=sum(t.image.size for t in problem.targets) - counted,
-            counted=counted,
-            interrupted=self.interrupted,
-            problem=problem,
-            values=values,
-            noise_given=noise is not None,
-        )
+            problem = again
+        values = run.solve(problem, values)
+        if run.interrupted or not run.converged:
+            break
+    if run.converged and not run.interrupted and not estimated:
+        values = _past_shadows(run, problem, values)
+    values, placed = _finish(problem, values, gauge)
+    return Fit(
+        scenes=[scene for scene, _ in placed],
+        exposures=[exposure for _, exposure in placed],
+        result=run.result,
+        steps=len(run.costs),
+        cost=run.costs[-1] if run.costs else float("nan"),
+        costs=tuple(run.costs),
+        left_out=sum(t.image.size for t in problem.targets) - problem.counted,
+        counted=problem.counted,
+        interrupted=run.interrupted,
+        problem=problem,
+        values=values,
+        noise_given=noise is not None,
+    )
 
-    def _past_shadows(self, problem: Problem, values: PyTree) -> PyTree:
-        """A second look where single rays may hold a light on the wrong side of a shadow's edge.
 
-        As the edge moves, such a picture jumps from pixel to pixel, without a derivative. The few
-        numbers that fit worst are left out, others each time as long as that helps (least trimmed
-        squares, Rousseeuw 1984); where the rest leads is kept if all then fit better.
-        """
-        shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
-        if (
-            not shadows
-            or "light_position" not in values
-            or explains(problem, values, self.costs[-1])
-        ):
-            return values
-        cost, before, result = self.costs[-1], len(self.costs), self.result
-        elsewhere, least = values, np.inf
-        for _ in range(_MOST_ROUNDS):
-            elsewhere = self.solve(problem.without_worst_at(elsewhere), elsewhere)
-            if self.interrupted or not self.costs[-1] < 0.5 * least:
-                break
-            least = self.costs[-1]
-        without = len(self.costs)
-        if self.converged and not self.interrupted:
-            elsewhere = self.solve(problem, elsewhere)
-        better = self.converged and len(self.costs) > without and self.costs[-1] < cost
-        # what is reported is the least cost so far, of all that counts
-        after = [min(cost, c) for c in self.costs[without:]] if better else []
-        self.costs[before:] = [cost] * (len(self.costs) - before - len(after)) + after
-        self.result = self.result if better else result
-        return elsewhere if better else values
+def _past_shadows(run: Run, problem: Problem, values: PyTree) -> PyTree:
+    """A second look where single rays may hold a light on the wrong side of a shadow's edge.
 
-    def solve(self, problem: Problem, values: PyTree) -> PyTree:
-        """**Returns:** the best values, also if it is interrupted."""
-        self.result = optx.RESULTS.nonlinear_max_steps_reached
-        try:
-            args = self._args(problem, values)
-            state = _init(self.solver, self.fn, args, values)
-            for _ in range(self.max_steps):
-                values, cost, state, move = _step(self.solver, self.fn, args, values, state)
-                self.costs.append(float(cost))
-                self._tell(problem, values, state)
-                if not np.isfinite(self.costs[-1]):
-                    self.result = optx.RESULTS.nonfinite
-                    break
-                done, result = self.solver.terminate(
-                    self.fn, values, args, _options(self.fn), state, frozenset()
-                )
-                # or only steps below the tolerance are left, none of which lowers the cost
-                rejected = getattr(state, "num_steps_since_acceptance", 0) >= 2
-                if done or (rejected and move < self.tolerance):
-                    self.result = result
-                    break
-                args = self._args(problem, state.y_eval)
-        except KeyboardInterrupt:
-            self.interrupted = True
+    As the edge moves, such a picture jumps from pixel to pixel, without a derivative. The few
+    numbers that fit worst are left out, others each time as long as that helps (least trimmed
+    squares, Rousseeuw 1984); where the rest leads is kept if all then fit better.
+    """
+    shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
+    if not shadows or "light_position" not in values or explains(problem, values, run.costs[-1]):
         return values
-
-    def _args(self, problem: Problem, values: PyTree) -> Any:
-        """What the residual function needs at the next point to look at."""
-        if self.fn is not _linear:
-            return problem
-        return _point(_normal(problem, values), values)
-
-    def _tell(self, problem: Problem, values: PyTree, state: Any) -> None:
-        if self.callback is None:
-            return
-        scenes = [scene for scene, _ in problem.place(values)]
-        size = float(getattr(state.search_state, "step_size", 1.0))
-        damping = 1 / size if size else float("inf")
-        best = scenes[0] if len(scenes) == 1 else scenes
-        steps = len(self.costs)
-        most = max(self.max_steps, steps)
-        self.callback(Progress(steps, most, self.costs[-1], damping, best))
+    cost, before, result = run.costs[-1], len(run.costs), run.result
+    elsewhere, least = values, np.inf
+    for _ in range(_MOST_ROUNDS):
+        elsewhere = run.solve(problem.without_worst_at(elsewhere), elsewhere)
+        if run.interrupted or not run.costs[-1] < 0.5 * least:
+            break
+        least = run.costs[-1]
+    without = len(run.costs)
+    if run.converged and not run.interrupted:
+        elsewhere = run.solve(problem, elsewhere)
+    better = run.converged and len(run.costs) > without and run.costs[-1] < cost
+    # what is reported is the least cost so far, of all that counts
+    after = [min(cost, c) for c in run.costs[without:]] if better else []
+    run.costs[before:] = [cost] * (len(run.costs) - before - len(after)) + after
+    run.result = run.result if better else result
+    return elsewhere if better else values

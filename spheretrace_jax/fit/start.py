@@ -87,10 +87,10 @@ class _Look:
         order = np.argsort(ids, kind="stable")
         small = np.bincount(ids, minlength=len(scene.spheres))[ids[order]] < 64
         some = order[small | (np.arange(len(order)) % step == 0)]
-        self.pixels, self.ids = pixels[some], ids[some]
+        self.pixels = pixels[some]
         self.image, self.weight = image[self.pixels], weight[self.pixels] ** 2
         self.of = np.zeros((len(some), len(scene.spheres)))
-        self.of[np.arange(len(some)), self.ids] = 1
+        self.of[np.arange(len(some)), ids[some]] = 1
         self.colors = np.asarray(scene.lights.color, np.float64)
 
     def terms(self, positions: Float[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 2 pixels"]:

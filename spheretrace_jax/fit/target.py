@@ -47,6 +47,11 @@ class Target(eqx.Module):
         """How many numbers count."""
         return int(np.sum(np.asarray(self.weight) > 0))
 
+    @property
+    def length(self) -> float:
+        """The root of the sum of the squares of its weighted numbers."""
+        return float(np.linalg.norm(np.asarray(self.image * self.weight, np.float64)))
+
     def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
         """weight (exposure picture - target)."""
         return self.weight * (picture * exposure[None, None, :] - self.image)

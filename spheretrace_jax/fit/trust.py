@@ -1,15 +1,16 @@
 """Whether a fit is what it seems to be: converged, inside its bounds, explaining the picture."""
 
 import re
+from functools import cached_property
+from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
 from .._types import Picture
+from .names import names_of
 from .problem import Problem
-from .reasons import names_of
 from .target import Target
 
 # A residual whose neighbours agree is no noise: of this part of the picture, or of 8-bit ones of
@@ -22,8 +23,15 @@ class Trust(eqx.Module):
 
     ok: bool  #: converged, and explains the picture
     verdict: str  #: one sentence
-    remarks: tuple[str, ...]  #: numbers at their bounds, what is not determined
     unexplained: float  #: the structured part of the residual, as a part of the picture
+    fit: Any  #: the `Fit` itself
+
+    @cached_property
+    def remarks(self) -> tuple[str, ...]:
+        """Numbers at their bounds, and what is not determined."""
+        known, bounds = self.fit.identifiability, _at_bounds(self.fit)
+        remarks = [f"at its bound: {', '.join(bounds)}"] if bounds else []
+        return (*remarks, *known.undetermined, *known.weak)
 
     def __str__(self) -> str:
         return "\n".join([self.verdict, *together(self.remarks)])
@@ -60,15 +68,8 @@ def judge(fit) -> Trust:
     else:
         end = "converged"
     verdict = f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
-    known = fit.identifiability
-    bounds = _at_bounds(fit)
-    remarks = [f"at its bound: {', '.join(bounds)}"] if bounds else []
-    return Trust(
-        ok=fit.converged and not fit.interrupted and explains,
-        verdict=verdict,
-        remarks=(*remarks, *known.undetermined, *known.weak),
-        unexplained=unexplained,
-    )
+    ok = fit.converged and not fit.interrupted and explains
+    return Trust(ok=ok, verdict=verdict, unexplained=unexplained, fit=fit)
 
 
 def explains(problem: Problem, values: PyTree, cost: float) -> bool:
@@ -82,16 +83,12 @@ def explains(problem: Problem, values: PyTree, cost: float) -> bool:
 
 def _size(target: Target) -> float:
     """The root-mean-square of the weighted numbers that count."""
-    square = np.asarray(target.image * target.weight) ** 2
-    return float(np.sqrt(np.sum(square, dtype=np.float64) / target.counted)) or 1.0
+    return target.length / np.sqrt(target.counted) or 1.0
 
 
 def _at_bounds(fit) -> list[str]:
-    y, _ = ravel_pytree(fit.values)
-    least, most = (ravel_pytree(b)[0] for b in fit.problem.bounds())
-    at = np.asarray((y <= least) | (y >= most))
-    names = names_of(fit.problem)
-    return list(dict.fromkeys(names[i] for i in np.flatnonzero(at)))
+    at = np.asarray(fit.problem.at_bounds(fit.values))
+    return list(dict.fromkeys(names_of(fit.problem)[at]))
 
 
 def _unexplained(problem: Problem, values: PyTree) -> list[tuple[float, str, float]]:

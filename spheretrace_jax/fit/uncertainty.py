@@ -11,14 +11,13 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from .normal import Normal
 from .parameters import extent
-from .problem import Problem
+from .problem import Problem, normal_at
 from .reasons import Reason, reasons
 
 # Eigenvalues of the scaled J^T J below so many rounding errors are 0, and so are columns of J that
@@ -184,16 +183,15 @@ def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | No
     the fit leaves.
     """
     square, slopes = _in_float64(problem, values, normal)
-    size = np.linalg.norm([float(jnp.linalg.norm(t.image * t.weight)) for t in problem.targets])
-    spectrum = spectrum_of(square, float(size))
+    spectrum = spectrum_of(square, float(np.linalg.norm([t.length for t in problem.targets])))
     told, explained = _confirmed(reasons(problem, values, spectrum.hidden, slopes), spectrum)
     if spectrum.shown(explained) > spectrum.least:
         spectrum = spectrum.without(explained)
     if noise is None and problem.targets[0].loss != "square":
         noise = float(np.mean(problem.noise))  # that of the median, which outliers leave be
     elif noise is None:
-        counted = sum(t.counted for t in problem.targets)
-        noise = float(np.sqrt(2 * float(normal.cost) / max(counted - spectrum.rank, 1)))
+        freedom = max(problem.counted - spectrum.rank, 1)
+        noise = float(np.sqrt(2 * float(normal.cost) / freedom))
     return Uncertainty(noise, problem, values, spectrum, slopes, told, explained)
 
 
@@ -235,12 +233,7 @@ def _in_float64(
     wide = lambda x: x.astype(np.float64) if eqx.is_inexact_array(x) else x
     with jax.enable_x64(True):
         problem, values = jax.tree.map(wide, (problem, values))
-        return _in_float64(problem, values, _normal(problem, values))
-
-
-@eqx.filter_jit
-def _normal(problem: Problem, values: PyTree) -> Normal:
-    return problem.normal(values)
+        return _in_float64(problem, values, normal_at(problem, values))
 
 
 @eqx.filter_jit
