@@ -31,16 +31,17 @@ def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    ("size", "options"),
+    ("size", "antialias", "options"),
     [
-        pytest.param(128, PLAIN, id="one ray"),
-        pytest.param(48, {}, id="antialiased with reflections", marks=pytest.mark.slow),
-        pytest.param(128, {}, id="antialiased with reflections, large", marks=pytest.mark.slow),
+        pytest.param(128, 0, PLAIN, id="one ray"),
+        pytest.param(128, 1, PLAIN, id="antialiased", marks=pytest.mark.slow),
+        pytest.param(48, 1, {}, id="antialiased with reflections", marks=pytest.mark.slow),
+        pytest.param(128, 1, {}, id="antialiased with reflections, large", marks=pytest.mark.slow),
     ],
 )
-def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, options):
+def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, antialias, options):
     lecture = nine_spheres(LIGHT)
-    truth = with_random_colors(lecture.with_antialias(1))
+    truth = with_random_colors(lecture.with_antialias(antialias))
     target = st.render(truth, width=size, height=size, **options)
     found = st.fit(wrong_start(truth), target, **options)
     assert found.converged and found.result == optx.RESULTS.successful
@@ -62,6 +63,17 @@ def test_colours_on_their_bounds_are_found_and_never_left():
         assert value.min() >= 0 and value.max() <= 1
     assert (s.color[:, 1:] == 0).any()  # held exactly where noise pulls outwards
     assert errors(found.scene, truth)["light_position"] < 0.01
+
+
+@pytest.mark.parametrize("bound", [0.0, 1.0])
+def test_bounds_are_left_again(bound):
+    truth = with_random_colors(nine_spheres(LIGHT))
+    target = st.render(truth, width=64, height=64, **PLAIN)
+    names = ("color", "ka", "kd", "ks") if bound else ("ka", "kd", "ks")
+    places = lambda s: [getattr(s.spheres, name) for name in names]
+    start = eqx.tree_at(places, truth, [jnp.full_like(x, bound) for x in places(truth)])
+    found = st.fit(start, target, **PLAIN)
+    assert found.converged and max(errors(found.scene, truth).values()) < 1e-8
 
 
 def test_float32_reaches_float32():

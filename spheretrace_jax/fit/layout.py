@@ -25,8 +25,9 @@ class Layout:
         self.spheres, self.lights, self.camera = (among(x) for x in (SPHERES, LIGHTS, CAMERA))
         self.exposure: Places | None = places.get("exposure")
 
-        others = [p.reshape(-1) for p in (*self.lights.values(), *self.camera.values())]
-        others = np.concatenate([np.zeros(0, int), *others])
+        exposure = [] if self.exposure is None else [self.exposure]
+        others = (*self.lights.values(), *self.camera.values(), *exposure)
+        others = np.concatenate([np.zeros(0, int), *(p.reshape(-1) for p in others)])
         n, objects = len(scene.spheres), scene.objects
         own = [p.reshape(n, -1) for p in self.spheres.values()]
         width = sum(p.shape[1] for p in own)

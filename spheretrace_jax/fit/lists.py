@@ -15,9 +15,9 @@ from ..visibility import nearest
 from ..world import build_world
 from .layout import Layout
 
-#: The lists after those of the objects and of the background that moves (`Layout.each`): pixels
-#: that show several objects, and those with edges.
-SEVERAL, EDGE = 0, 1
+#: The list before those of the objects and of a background that moves (`Layout.each`): pixels that
+#: nothing free moves. Those after them: pixels that show several objects, and those with edges.
+STILL, SEVERAL, EDGE = -1, 0, 1
 
 #: The most pixels of a list that are looked at at once.
 MOST = 1 << 12
@@ -26,12 +26,12 @@ MOST = 1 << 12
 class Lists(eqx.Module):
     """Lists of pixels, one after the other."""
 
-    order: Int[Array, " padded"]  #: those first that nothing free moves; then `MOST` zeros
-    ends: Int[Array, " lists"]  #: where each list ends, the first one that of those
+    order: Int[Array, " padded"]  #: list by list; then `MOST` zeros
+    starts: Int[Array, " lists"]  #: where each list begins, from that of `STILL` on, and the end
 
     def bounds(self, label: Index) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Where a list begins and ends."""
-        return self.ends[label], self.ends[label + 1]
+        return self.starts[label - STILL], self.starts[label - STILL + 1]
 
 
 def sorted_pixels(scene: Scene, layout: Layout, options: Options, edge: Mask | None) -> Lists:
@@ -43,14 +43,22 @@ def sorted_pixels(scene: Scene, layout: Layout, options: Options, edge: Mask | N
     label = _labels(scene, layout, options)
     if edge is not None:
         label = jnp.where(edge.reshape(-1), len(layout.each) + EDGE, label)
-    order = jnp.argsort(label, stable=True).astype(jnp.int32)
-    numbers = jnp.arange(-1, len(layout.each) + 2, dtype=label.dtype)
-    ends = jnp.searchsorted(label[order], numbers, side="right").astype(jnp.int32)
-    return Lists(jnp.pad(order, (0, MOST)), ends)
+    order = _sorted(label - STILL, len(layout.each) + EDGE - STILL + 1)
+    numbers = jnp.arange(STILL, len(layout.each) + EDGE + 2, dtype=label.dtype)
+    starts = jnp.searchsorted(label[order], numbers, side="left").astype(jnp.int32)
+    return Lists(jnp.pad(order, (0, MOST)), starts)
+
+
+def _sorted(label: Int[Array, " pixels"], labels: int) -> Int[Array, " pixels"]:
+    """The pixels label by label. One number for label and pixel sorts 6 times faster than two."""
+    if labels * label.size >= 1 << 32:
+        return jnp.argsort(label, stable=True).astype(jnp.int32)
+    size, pixels = jnp.uint32(label.size), jnp.arange(label.size, dtype=jnp.uint32)
+    return (jnp.sort(label.astype(jnp.uint32) * size + pixels) % size).astype(jnp.int32)
 
 
 def _labels(scene: Scene, layout: Layout, options: Options) -> Int[Array, " pixels"]:
-    """The number of each pixel's list; -1 for a background that no free parameter moves."""
+    """The number of each pixel's list, without that of edges."""
     world = jax.lax.stop_gradient(build_world(scene))
     objects = world.spheres + world.planes
     ends = jnp.full(objects + 1, True)
@@ -58,7 +66,7 @@ def _labels(scene: Scene, layout: Layout, options: Options) -> Int[Array, " pixe
         ends = jnp.arange(objects + 1) >= objects
     elif options.bounces:
         ends = jnp.append((world.materials.kgr == 0) & (world.materials.kt == 0), True)
-    sky = objects if layout.camera and scene.sky is not None else -1
+    sky = objects if layout.camera and scene.sky is not None else STILL
     places = sample_places(scene, options)
 
     def label(pixels: Ids) -> Ids:

@@ -17,12 +17,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._types import Ids, Index, Mask, Picture
+from .._types import Ids, Index, Mask
+from ..appearance import background
 from ..options import Options
 from ..paths import Path, shade
 from ..render import (
     area_seen,
-    averaged,
     bend_part,
     point_seen,
     rays_through,
@@ -31,12 +31,12 @@ from ..render import (
     smooth_beside,
 )
 from ..scene import Scene
-from ..vec import Vec
+from ..vec import Vec, zeros
 from ..visibility import hit_of
 from ..world import Own, World, build_world
 from .layout import Layout
-from .lists import EDGE, MOST, SEVERAL, Lists, sorted_pixels
-from .rows import Rows, jacobian_rows
+from .lists import EDGE, MOST, SEVERAL, STILL, Lists, sorted_pixels
+from .rows import Rows, seen_and_rows
 from .target import Target
 
 # Of pixels that show several objects so many are looked at at once that their part of the Jacobian
@@ -72,89 +72,104 @@ def normal_equations(
     parameters are free and their order. `lists`: what pixels show, if it is known.
     """
     world = build_world(scene)
-    color, edge = sampled(scene, options)
-    picture = averaged(color, edge, options)
-    residual = target.residual(picture, exposure)
-    by_picture, by_exposure = target.slopes(picture, exposure)
+    edge = sampled(scene, options)[1] if options.antialias else None
     if lists is None:
         lists = sorted_pixels(scene, layout, options, edge)
-    listed = lambda v: v.reshape(-1, 3)
-    sums = _Sums(
-        lists,
-        listed(residual),
-        listed(by_picture),
-        listed(by_exposure) if layout.exposure is not None else None,
-    )
-    normal = _of_exposure(by_exposure, residual, layout)
-    weights = _weights(edge, options, scene.dtype)
-    normal = _add_single(normal, scene, world, sums, layout, options, weights)
+    sums = _Sums(lists, target, exposure, layout)
+    weights = None if edge is None else _weights(edge, options, scene.dtype)
+    n, dtype = layout.size, scene.dtype
+    normal = Normal(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype))
+    normal = _add_still(normal, scene, world, sums, options, weights)
+    normal = _add_single(normal, scene, world, sums, options, weights)
     if options.bounces or (options.samples > 1 and not options.antialias):
         look = partial(_near, weights=weights, options=options, look=_through(options))
-        normal = _add_mixed(normal, scene, world, sums, SEVERAL, layout, look)
+        normal = _add_mixed(normal, scene, world, sums, SEVERAL, look)
     if options.antialias:
         look = partial(_mean, options=options, look=_over(options))
-        normal = _add_mixed(normal, scene, world, sums, EDGE, layout, look)
+        normal = _add_mixed(normal, scene, world, sums, EDGE, look)
     return normal
 
 
-def _of_exposure(by_exposure: Picture, residual: Picture, layout: Layout) -> Normal:
-    """The part of the normal equations that only the exposure has."""
-    n, dtype, cost = layout.size, residual.dtype, jnp.sum(residual**2) / 2
-    normal = Normal(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), cost)
-    if layout.exposure is None:
-        return normal
-    at = layout.exposure
-    square = normal.square.at[at, at].set(jnp.sum(by_exposure**2, axis=(0, 1)))
-    pushed = jnp.sum(by_exposure * residual, axis=(0, 1))
-    return Normal(square, normal.gradient.at[at].set(pushed), cost)
+Seen = tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows]]
+"""What some pixels see, and from slopes the rows of its Jacobian times these."""
 
 
 class _Sums(eqx.Module):
-    """What the rows of a picture's Jacobian are multiplied by, of all pixels."""
+    """A picture's target, list by list."""
 
     lists: Lists
-    residual: Float[Array, "pixels 3"]
-    slope: Float[Array, "pixels 3"]  #: its derivative by the picture
-    by_exposure: Float[Array, "pixels 3"] | None  #: that by the exposure
+    target: Target
+    exposure: Float[Array, " 3"]
+    layout: Layout = eqx.field(static=True)
 
     def add(
         self,
         normal: Normal,
         label: Index,
         columns: Int[Array, " columns"],
-        rows: Callable[[Ids, Mask, Float[Array, "3 pixels"]], Rows],
-        layout: Layout,
+        look: Callable[[Ids, Mask], Seen],
         count: int,
     ) -> Normal:
         """Adds the part of the pixels of one list, `count` at a time.
 
-        **Arguments:** `rows`: the rows of the Jacobian for some pixels, of which some count, times
-        some slopes. `columns`: which of the free parameters these are; out of bounds: none.
+        **Arguments:** `columns`: which of the free parameters the rows are of; out of bounds: none.
+        `look`: for some pixels, of which some count.
         """
         begin, end = self.lists.bounds(label)
         numbers = jnp.arange(count, dtype=jnp.int32)
+        image, weight = (x.reshape(-1, 3) for x in (self.target.image, self.target.weight))
 
         def some(k: Index, normal: Normal) -> Normal:
             first = begin + k * count
             alive = first + numbers < end
             pixels = lax.dynamic_slice(self.lists.order, (first,), (count,))
-            take = lambda list_: list_.at[pixels].get(mode="promise_in_bounds").T
-            pick = lambda list_: jnp.where(alive[None], take(list_), 0)
-            row = rows(pixels, alive, pick(self.slope))
+            take = lambda list_: list_.at[pixels].get(mode="promise_in_bounds")
+            counted = jnp.where(alive[:, None], take(weight), 0)
+            target = Target(take(image)[None], counted[None], self.target.noise, self.target.loss)
+            seen, rows = look(pixels, alive)
+            residual = target.residual(seen.T[None], self.exposure)[0].T
+            by_picture, by_exposure = target.slopes(seen.T[None], self.exposure)
+            parts = [rows(by_picture[0].T)]
+            if self.layout.exposure is not None:
+                parts.append(jnp.eye(3, dtype=seen.dtype)[:, :, None] * by_exposure[0].T[None])
             # with the residual as one more column all products are one
-            both = jnp.concatenate([row, pick(self.residual)[None]]).reshape(len(row) + 1, -1)
+            both = jnp.concatenate([*parts, residual[None]])
+            both = both.reshape(len(both), -1)
             products = both @ both.T
             at = columns[:, None], columns[None, :]
-            square = normal.square.at[at].add(products[:-1, :-1], mode="drop")
-            gradient = normal.gradient.at[columns].add(products[:-1, -1], mode="drop")
-            if self.by_exposure is not None:
-                cross = jnp.sum(row * pick(self.by_exposure)[None], axis=-1)
-                to = jnp.asarray(layout.exposure)
-                square = square.at[columns[:, None], to[None, :]].add(cross, mode="drop")
-                square = square.at[to[:, None], columns[None, :]].add(cross.T, mode="drop")
-            return Normal(square, gradient, normal.cost)
+            return Normal(
+                normal.square.at[at].add(products[:-1, :-1], mode="drop"),
+                normal.gradient.at[columns].add(products[:-1, -1], mode="drop"),
+                normal.cost + products[-1, -1] / 2,
+            )
 
         return lax.fori_loop(0, -((begin - end) // count), some, normal)
+
+
+def _add_still(
+    normal: Normal,
+    scene: Scene,
+    world: World,
+    sums: _Sums,
+    options: Options,
+    weights: Float[Array, "5 pixels"] | None,
+) -> Normal:
+    """Adds the background that does not move."""
+
+    def sky(scene: Scene, world: World, pixels: Ids, alive: Mask, *at: Array) -> Vec:
+        black = zeros(pixels.shape, scene.dtype)
+        if not options.needs.background:
+            return black
+        return black + background(scene, rays_through(scene, options, pixels, *at).direction)
+
+    def look(pixels: Ids, alive: Mask) -> Seen:
+        seen = _near(scene, world, pixels, alive, weights, options, sky)
+        none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
+        return jnp.stack([seen.x, seen.y, seen.z]), none
+
+    exposure = sums.layout.exposure
+    columns = jnp.zeros(0, jnp.int32) if exposure is None else jnp.asarray(exposure)
+    return sums.add(normal, STILL, columns, look, MOST)
 
 
 def _add_single(
@@ -162,11 +177,11 @@ def _add_single(
     scene: Scene,
     world: World,
     sums: _Sums,
-    layout: Layout,
     options: Options,
     weights: Float[Array, "5 pixels"] | None,
 ) -> Normal:
     """Adds the pixels that show one object each, object by object."""
+    layout = sums.layout
     tables, objects = Own(world.balls, world.materials), world.spheres + world.planes
     # their paths end where they begin
     options_ = dataclasses.replace(options, bounces=0)
@@ -181,14 +196,14 @@ def _add_single(
             path = Path(ray, hit, jnp.ones(pixels.shape, scene.dtype), alive, None)
             return shade(scene, world, path, options_)[0]
 
-        def rows(pixels: Ids, alive: Mask, slope: Float[Array, "3 pixels"]) -> Rows:
+        def rows(pixels: Ids, alive: Mask) -> Seen:
             see = partial(
                 _near, pixels=pixels, alive=alive, weights=weights, options=options, look=look
             )
-            return jacobian_rows(see, scene, world, own, layout, slope)
+            return seen_and_rows(see, scene, world, own, layout, pixels.size)
 
         columns = jnp.asarray(layout.each)[number]
-        return sums.add(normal, number, columns, rows, layout, MOST)
+        return sums.add(normal, number, columns, rows, MOST)
 
     return lax.fori_loop(0, len(layout.each), object_, normal)
 
@@ -199,19 +214,18 @@ def _add_mixed(
     world: World,
     sums: _Sums,
     kind: int,
-    layout: Layout,
     look: Callable[..., Vec],
 ) -> Normal:
     """Adds the pixels that show several objects, of one kind."""
-    tables = Own(world.balls, world.materials)
+    tables, layout = Own(world.balls, world.materials), sums.layout
 
-    def rows(pixels: Ids, alive: Mask, slope: Float[Array, "3 pixels"]) -> Rows:
+    def rows(pixels: Ids, alive: Mask) -> Seen:
         see = partial(look, pixels=pixels, alive=alive)
-        return jacobian_rows(see, scene, world, tables, layout, slope)
+        return seen_and_rows(see, scene, world, tables, layout, pixels.size)
 
     columns = jnp.asarray(layout.all)
     count = max(64, min(MOST // 2, MOST_NUMBERS // columns.size))
-    return sums.add(normal, len(layout.each) + kind, columns, rows, layout, count)
+    return sums.add(normal, len(layout.each) + kind, columns, rows, count)
 
 
 def _through(options: Options) -> Look:

@@ -183,7 +183,7 @@ def extent(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
 
 
 def _fold(y: Array) -> Array:
-    """y for y in 0..1; mirrored at 0 and 1 beyond."""
+    """y for y in 0..1, with a slope of 1 at 0 and 1, too; mirrored at 0 and 1 beyond."""
     y = jnp.abs(y)
-    turn = jax.lax.stop_gradient(jnp.floor(y))
+    turn = jax.lax.stop_gradient(jnp.maximum(jnp.ceil(y) - 1, 0))
     return jnp.where(turn % 2 == 0, y - turn, 1 - (y - turn))

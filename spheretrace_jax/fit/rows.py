@@ -1,4 +1,4 @@
-"""The rows of a picture's Jacobian, a few pixels at a time, from the picture's own code.
+"""What pixels see and the rows of the picture's Jacobian, a few at a time, from its own code.
 
 Each pixel is given tables of its own (`world.Own`) and lights of its own, by which the reverse pass
 differentiates, once per channel. The camera, on which every pixel depends through few numbers, is
@@ -35,54 +35,61 @@ _OWN = {
 assert set(_OWN) == set(SPHERES)
 
 
-def jacobian_rows(
+def seen_and_rows(
     see: Callable[[Scene, World], Vec],
     scene: Scene,
     world: World,
     own: Own,
     layout: Layout,
-    slope: Float[Array, "3 pixels"],
-) -> Rows:
-    """The derivatives of what some pixels see by what is free, times a slope for each channel.
+    count: int,
+) -> tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows]]:
+    """What some pixels see, and a function to its derivatives by what is free.
 
     **Arguments:** `see`: from a scene to the colours, planes of shape `(pixels,)`. `own`: the
-    objects that pixels may show, of shape `(objects,)`.
+    objects that pixels may show, of shape `(objects,)`. `count`: how many pixels.
 
-    **Returns:** columns for the spheres' parameters, in the layout's order of names, row by row
-    of `own`, then those of the lights and the camera.
+    **Returns:** the colours, and a function from a slope for each channel to the derivatives times
+    that: columns for the spheres' parameters, in the layout's order of names, row by row of `own`,
+    then those of the lights and the camera.
     """
-    count = slope.shape[1]
     spread = lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count))
-    rows = []
-    if layout.spheres or layout.lights:
-        own = jax.tree.map(spread, own)
-        at_own = lambda own: [_OWN[name](own) for name in layout.spheres]
-        at_lights = lambda scene: [LIGHTS[name](scene) for name in layout.lights]
+    own = jax.tree.map(spread, own)
+    at_own = lambda own: [_OWN[name](own) for name in layout.spheres]
+    at_lights = lambda scene: [LIGHTS[name](scene) for name in layout.lights]
 
-        def reverse(columns: list, lights: list) -> Vec:
-            scene_, world_ = scene, world
-            if columns:
-                own_ = eqx.tree_at(at_own, own, columns)
-                world_ = eqx.tree_at(lambda w: w.own, world, own_, is_leaf=lambda x: x is None)
-            if lights:
-                scene_ = eqx.tree_at(at_lights, scene, lights)
-            return see(scene_, world_)
+    def reverse(columns: list, lights: list) -> Vec:
+        scene_, world_ = scene, world
+        if columns:
+            own_ = eqx.tree_at(at_own, own, columns)
+            world_ = eqx.tree_at(lambda w: w.own, world, own_, is_leaf=lambda x: x is None)
+        if lights:
+            scene_ = eqx.tree_at(at_lights, scene, lights)
+        return see(scene_, world_)
 
-        lights = [spread(light) for light in at_lights(scene)]
-        _, pull = jax.vjp(reverse, at_own(own), lights)
+    lights = [spread(light) for light in at_lights(scene)]
+    color, pull = jax.vjp(reverse, at_own(own), lights)
+
+    def rows(slope: Float[Array, "3 pixels"]) -> Rows:
         seeds = [jnp.zeros_like(slope).at[c].set(slope[c]) for c in range(3)]
         columns, lights = jax.vmap(pull, out_axes=-2)(Vec(*seeds))
         # of colours and centres the three parts side by side; planes have no free parameters
         parts = [jnp.stack(jax.tree.leaves(c), axis=1)[: len(scene.spheres)] for c in columns]
-        rows += [part.reshape(-1, 3, count) for part in (*parts, *lights)]
-    if layout.camera:
-        at_camera = lambda scene: [CAMERA[name](scene) for name in layout.camera]
+        parts = [part.reshape(-1, 3, count) for part in (*parts, *lights)]
+        if layout.camera:
+            parts.append(_by_camera(see, scene, layout) * slope[None])
+        return jnp.concatenate([jnp.zeros((0, *slope.shape), slope.dtype), *parts])
 
-        def forward(values: list) -> Vec:
-            scene_ = eqx.tree_at(at_camera, scene, values)
-            return see(scene_, build_world(scene_))
+    return jnp.stack([color.x, color.y, color.z]), rows
 
-        _, push = jax.linearize(forward, at_camera(scene))
-        moved = jax.vmap(push)(list(jnp.eye(len(layout.camera), dtype=scene.dtype)))
-        rows.append(jnp.stack([moved.x, moved.y, moved.z], axis=1) * slope[None])
-    return jnp.concatenate(rows)
+
+def _by_camera(see: Callable[[Scene, World], Vec], scene: Scene, layout: Layout) -> Rows:
+    """The derivatives by what is free of the camera."""
+    at_camera = lambda scene: [CAMERA[name](scene) for name in layout.camera]
+
+    def forward(values: list) -> Vec:
+        scene_ = eqx.tree_at(at_camera, scene, values)
+        return see(scene_, build_world(scene_))
+
+    _, push = jax.linearize(forward, at_camera(scene))
+    moved = jax.vmap(push)(list(jnp.eye(len(layout.camera), dtype=scene.dtype)))
+    return jnp.stack([moved.x, moved.y, moved.z], axis=1)

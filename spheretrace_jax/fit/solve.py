@@ -22,6 +22,7 @@ from .parameters import GEOMETRY
 from .problem import Problem, make_problem, normal_at
 from .run import Progress, Run
 from .start import propose
+from .strays import strays
 from .target import Loss
 from .trust import Trust, explains, judge
 from .uncertainty import Uncertainty, estimate
@@ -276,7 +277,10 @@ def _past_shadows(run: Run, problem: Problem, values: PyTree) -> PyTree:
     squares, Rousseeuw 1984); where the rest leads is kept if all then fit better.
     """
     shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
-    if not shadows or "light_position" not in values or explains(problem, values, run.costs[-1]):
+    if not shadows or "light_position" not in values:
+        return values
+    off = strays(problem, values, run.costs[-1])
+    if not any(x.any() for x in off) and explains(problem, values, run.costs[-1]):
         return values
     cost, before, result = run.costs[-1], len(run.costs), run.result
     elsewhere, least = values, np.inf

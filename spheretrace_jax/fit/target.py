@@ -50,7 +50,8 @@ class Target(eqx.Module):
     @property
     def length(self) -> float:
         """The root of the sum of the squares of its weighted numbers."""
-        return float(np.linalg.norm(np.asarray(self.image * self.weight, np.float64)))
+        numbers = np.asarray(self.image * self.weight).reshape(-1)
+        return float(np.sqrt(numbers @ numbers))
 
     def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
         """weight (exposure picture - target)."""

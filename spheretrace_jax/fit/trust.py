@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._types import Picture
-from .names import names_of
+from .names import listed, names_of
 from .problem import Problem
+from .strays import resting_on, strays
 from .target import Target
 
 # A residual whose neighbours agree is no noise: of this part of the picture, or of 8-bit ones of
@@ -56,6 +57,7 @@ def judge(fit) -> Trust:
     worst = int(np.argmax([part for part, _, _ in parts]))
     unexplained, where, limit = parts[worst]
     explains = unexplained <= limit
+    resting = resting_on(strays(fit.problem, fit.values, fit.cost), fit)
     misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
     left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
     if fit.interrupted:
@@ -65,10 +67,12 @@ def judge(fit) -> Trust:
     elif not explains:
         picture = f" {worst + 1}" if len(fit.scenes) > 1 else ""
         end = f"converged, but does NOT explain picture{picture}: {unexplained:.1%} left, {where}"
+    elif resting:
+        end = f"converged, but what tells of {listed(resting)} does NOT fit"
     else:
         end = "converged"
     verdict = f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
-    ok = fit.converged and not fit.interrupted and explains
+    ok = fit.converged and not fit.interrupted and explains and not resting
     return Trust(ok=ok, verdict=verdict, unexplained=unexplained, fit=fit)
 
 

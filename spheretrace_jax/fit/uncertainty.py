@@ -3,7 +3,8 @@
 To first order the unknowns scatter with covariance sigma^2 (J^T J)^-1 if the target's numbers
 scatter independently with standard deviation sigma. What the pictures do not determine has an
 infinite standard deviation; functions of the scene that they do determine, such as ka color, have
-a finite one all the same.
+a finite one all the same. The step that the solver would still take counts as well: a highlight of
+1e-12 may stop it long before its ks is found.
 """
 
 from collections.abc import Callable, Iterable
@@ -97,6 +98,7 @@ class Uncertainty(eqx.Module):
     spectrum: Spectrum
     #: of each picture's free parameters, in its layout, the derivatives by the unknowns
     slopes: list[Float[np.ndarray, "_ free"]]
+    step: Float[np.ndarray, " free"]  #: the Gauss-Newton step that is left
     reasons: tuple[str, ...]  #: sentences why something does not show
     explained: Float[np.ndarray, "free count"]  #: what they say, orthonormal in scaled unknowns
 
@@ -167,7 +169,8 @@ class Uncertainty(eqx.Module):
         scaled = slope / self.spectrum.scale
         hidden = np.linalg.norm(scaled @ self.spectrum.null, axis=1)
         shows = hidden <= _DEPENDS * np.linalg.norm(scaled, axis=1)
-        return np.where(shows, np.linalg.norm(self._half(slope), axis=1), np.inf)
+        scatter = np.linalg.norm(self._half(slope), axis=1)
+        return np.where(shows, np.hypot(scatter, slope @ self.step), np.inf)
 
 
 def _stacked(arrays: list) -> np.ndarray:
@@ -182,7 +185,7 @@ def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | No
     """**Arguments:** `normal`: the normal equations there. `noise`: None to estimate it from what
     the fit leaves.
     """
-    square, slopes = _in_float64(problem, values, normal)
+    square, gradient, slopes = _in_float64(problem, values, normal)
     spectrum = spectrum_of(square, float(np.linalg.norm([t.length for t in problem.targets])))
     told, explained = _confirmed(reasons(problem, values, spectrum.hidden, slopes), spectrum)
     if spectrum.shown(explained) > spectrum.least:
@@ -192,7 +195,18 @@ def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | No
     elif noise is None:
         freedom = max(problem.counted - spectrum.rank, 1)
         noise = float(np.sqrt(2 * float(normal.cost) / freedom))
-    return Uncertainty(noise, problem, values, spectrum, slopes, told, explained)
+    step = _step(spectrum, gradient, np.asarray(problem.at_bounds(values)))
+    return Uncertainty(noise, problem, values, spectrum, slopes, step, told, explained)
+
+
+def _step(
+    spectrum: Spectrum, gradient: Float[np.ndarray, " free"], held: Bool[np.ndarray, " free"]
+) -> Float[np.ndarray, " free"]:
+    """The Gauss-Newton step of what is not held at a bound, in the directions that show."""
+    known = np.where(held[:, None], 0, spectrum.known)
+    square = (known * spectrum.values[: spectrum.rank]) @ known.T
+    down = np.where(held, 0, -gradient / spectrum.scale)
+    return np.linalg.pinv(square, spectrum.least, hermitian=True) @ down / spectrum.scale
 
 
 def _confirmed(
@@ -222,14 +236,17 @@ def _beyond(directions: np.ndarray, explained: np.ndarray) -> np.ndarray:
 
 def _in_float64(
     problem: Problem, values: PyTree, normal: Normal
-) -> tuple[Float[np.ndarray, "free free"], list[Float[np.ndarray, "_ free"]]]:
-    """J^T J, and the derivatives of the free parameters by the unknowns.
+) -> tuple[
+    Float[np.ndarray, "free free"], Float[np.ndarray, " free"], list[Float[np.ndarray, "_ free"]]
+]:
+    """J^T J, J^T r, and the derivatives of the free parameters by the unknowns.
 
     In float32 too: there the squares of what shows little are lost among the rounding errors of
     what shows much, and nothing could be said of what does not show at all.
     """
     if problem.dtype == np.float64:
-        return np.asarray(normal.square), [np.asarray(s) for s in _slopes(problem, values)]
+        slopes = [np.asarray(s) for s in _slopes(problem, values)]
+        return np.asarray(normal.square), np.asarray(normal.gradient), slopes
     wide = lambda x: x.astype(np.float64) if eqx.is_inexact_array(x) else x
     with jax.enable_x64(True):
         problem, values = jax.tree.map(wide, (problem, values))

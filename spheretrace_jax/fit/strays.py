@@ -1,0 +1,76 @@
+"""Numbers of a target that do not fit though the others do, and what is known from them alone.
+
+A pixel on the wrong side of a shadow's edge, a highlight that a single ray meets: such numbers are
+too few to matter to what remains of a picture, but all that tells of something may be among them.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PyTree
+
+from .._types import Picture
+from ..render import draw
+from .names import names_of
+from .problem import Problem, normal_at
+from .target import Target
+from .uncertainty import spectrum_of
+
+# Numbers that are off by more standard deviations than this, as the median has them, are strays.
+_FAR = 6 * 1.4826
+
+# Standard deviations that grow as much without the strays rest on them.
+_GROWTH = 2
+
+# What of J^T J is no more than rounding.
+_NOTHING = 1e-12
+
+
+def strays(problem: Problem, values: PyTree, cost: float) -> list[Bool[np.ndarray, "_ _ 3"]]:
+    """Of each picture the numbers that do not fit though the others do.
+
+    Where pixels are areas there are none: what is left at covered edges is their own error
+    (docs/edges.md), and said to be that. **Arguments:** `cost`: what is known to be left.
+    """
+    found = []
+    placed = zip(problem.place(values), problem.targets, problem.options, strict=True)
+    for (scene, exposure), target, options in placed:
+        # no number is further off than all of them
+        if options.antialias or np.sqrt(2 * cost) <= _least(target):
+            found.append(np.zeros(target.image.shape, bool))
+        else:
+            found.append(_far(target, draw(scene, options), exposure))
+    return found
+
+
+def _least(target: Target) -> float:
+    """What numbers may be off by for reasons of rounding."""
+    mean = target.length / np.sqrt(target.counted)
+    return float(4 * np.sqrt(np.finfo(target.image.dtype).eps) * mean)
+
+
+def _far(
+    target: Target, picture: Picture, exposure: Float[Array, " 3"]
+) -> Bool[np.ndarray, "height width 3"]:
+    off = np.abs(np.asarray(target.misfit(picture, exposure)))
+    # what is 0 is black, and no example of how well the others fit
+    typical = np.median(off[off > 0]) if off.any() else 0
+    return off > max(_FAR * typical, _least(target))
+
+
+def resting_on(strays: list[Bool[np.ndarray, "_ _ 3"]], fit) -> list[str]:
+    """The names of what of a `Fit` is known from strays, and hardly from the others."""
+    if not any(x.any() for x in strays):
+        return []
+    problem: Problem = fit.problem
+    kept = [jnp.where(x, 0, t.weight) for x, t in zip(strays, problem.targets, strict=True)]
+    others = eqx.tree_at(lambda p: [t.weight for t in p.targets], problem, kept)
+    square = np.asarray(normal_at(others, fit.values).square, np.float64)
+    length = float(np.linalg.norm([t.length for t in problem.targets]))
+    spectrum = spectrum_of(np.asarray(fit.normal.square), length)
+    # in these directions the picture has a J^T J of 1
+    one = spectrum.known / np.sqrt(spectrum.values[: spectrum.rank]) / spectrum.scale[:, None]
+    shares, vectors = np.linalg.eigh(one.T @ square @ one)
+    half = one @ vectors / np.sqrt(np.maximum(shares, _NOTHING))
+    named = np.linalg.norm(half, axis=1) > _GROWTH * np.linalg.norm(one, axis=1)
+    return list(dict.fromkeys(names_of(problem)[named]))

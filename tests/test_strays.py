@@ -1,0 +1,73 @@
+"""Numbers that do not fit though the others do, and what rests on them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spheretrace_jax as st
+from spheretrace_jax.fit.problem import make_problem
+from spheretrace_jax.fit.strays import resting_on, strays
+
+PLAIN = dict(bounces=0)
+# of the second sphere only a few pixels tell ks
+TRUTH = st.Scene(
+    st.Spheres(
+        [[-100.0, 0, 0], [120, 60, 40]], [100.0, 60], [[0.8, 0.3, 0.2], [0.2, 0.6, 0.9]],
+        0.2, 0.5, 0.3, exponent=[10.0, 60],
+    ),
+    st.Lights([[200.0, 300, 800]]),
+    st.Camera(mu=1200.0, distance=1200.0),
+)  # fmt: skip
+PICTURE = np.asarray(st.render(TRUTH, width=64, height=64, **PLAIN))
+
+
+def highlight() -> np.ndarray:
+    """The pixels that show the second sphere's highlight."""
+    matte = eqx.tree_at(lambda s: s.spheres.ks, TRUTH, jnp.asarray([0.3, 0]))
+    less = PICTURE - np.asarray(st.render(matte, width=64, height=64, **PLAIN))
+    return np.argwhere(less[..., 0] > 1e-3)
+
+
+def start() -> st.Scene:
+    return eqx.tree_at(lambda s: s.spheres.ks, TRUTH, jnp.full(2, 0.2))
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return st.fit(start(), PICTURE, **PLAIN)
+
+
+def test_what_rests_on_strays_is_not_trusted():
+    target = PICTURE.copy()
+    places = highlight()
+    assert 2 <= len(places) <= 12
+    target[tuple(places[::2].T)] += 0.002
+    found = st.fit(start(), target, **PLAIN)
+    assert found.converged and not found.trust.ok
+    assert "what tells of sphere 2's ks does NOT fit" in str(found.trust)
+    off = strays(found.problem, found.values, found.cost)[0].any(axis=-1)
+    assert off.sum() <= len(places) and set(map(tuple, np.argwhere(off))) <= set(map(tuple, places))
+
+
+def test_strays_on_which_nothing_rests_are_no_fault():
+    target = PICTURE.copy()
+    target[30:33, 20] += 0.002  # of the first sphere, which has enough others
+    found = st.fit(start(), target, **PLAIN)
+    assert strays(found.problem, found.values, found.cost)[0].sum() == 9
+    assert found.converged and found.trust.ok
+
+
+def test_what_fits_has_none(whole):
+    off = strays(whole.problem, whole.values, whole.cost)
+    assert not off[0].any() and resting_on(off, whole) == [] and whole.trust.ok
+    noisy = PICTURE + 0.003 * np.random.default_rng(0).uniform(-1, 1, PICTURE.shape)
+    found = st.fit(start(), noisy, **PLAIN)
+    assert not strays(found.problem, found.values, found.cost)[0].any() and found.trust.ok
+
+
+def test_where_pixels_are_areas_what_is_left_at_edges_is_no_stray():
+    target = PICTURE + np.random.default_rng(0).standard_cauchy(PICTURE.shape)
+    scene = TRUTH.with_antialias(1)
+    problem = make_problem(scene, target, ("ks",), (), "phong", bounces=0, samples=1)
+    assert not strays(problem, problem.start(), 1.0)[0].any()
