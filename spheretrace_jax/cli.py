@@ -116,7 +116,8 @@ class FitCommand:
         Literal["square", "huber", "cauchy"], arg(help="huber and cauchy bear outliers")
     ] = "square"
     start: Annotated[
-        Literal["scene", "auto"], arg(help="auto: of SCENE use only what is not free")
+        Literal["scene", "lights", "auto"],
+        arg(help="what of SCENE to begin with: all, lights' places, or only what is not free"),
     ] = "scene"
     gauge: Annotated[
         Literal["ka", "color", "none"],

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import spheretrace_jax as st
+from spheretrace_jax.fit.problem import make_problem
+from spheretrace_jax.fit.solve import _starts
 from spheretrace_jax.report import determined
 
 PLAIN = dict(bounces=0)
@@ -43,6 +45,7 @@ def grey(truth: st.Scene) -> st.Scene:
         pytest.param(world([900.0, -400, 700]), id="one light"),
         pytest.param(world([-40000.0, 30000, 9000]), id="far and from the side"),
         pytest.param(world([600.0, -300, 1500], [-500, 400, 1200]), id="two lights"),
+        pytest.param(world([900.0, -400, 700], [-600, 100, 900]), id="in shadow of one another"),
     ],
 )
 def test_everything_is_found_from_nothing(truth):
@@ -54,6 +57,29 @@ def test_everything_is_found_from_nothing(truth):
         np.testing.assert_allclose(a[name], b[name], atol=1e-8)
     order = [np.linalg.norm(a["light_position"] - p, axis=1).argmin() for p in b["light_position"]]
     np.testing.assert_allclose(a["light_position"][order], b["light_position"], rtol=1e-6)
+
+
+def test_from_lights_that_are_near_few_steps_are_left():
+    truth = world([900.0, -400, 700])
+    target = st.render(truth, **SIZE, **PLAIN)
+    plain, projected = (st.fit(grey(truth), target, start=s, **PLAIN) for s in ("scene", "lights"))
+    assert plain.trust.ok and projected.trust.ok and projected.steps <= 3 < plain.steps
+    for found in (plain, projected):
+        at = found.scene.lights.position
+        np.testing.assert_allclose(at, truth.lights.position, rtol=1e-8)
+
+
+def test_lights_are_looked_for_first_where_all_at_once_explains_nothing():
+    target = np.full((8, 8, 3), 0.5)
+    starts = lambda scene, free, bounces=0: list(
+        _starts(make_problem(scene, target, free, (), "phong", bounces, 1), "scene")
+    )
+    scene, free = world([900.0, -400, 700]), ("color", "light_position")
+    mirrors = eqx.tree_at(lambda s: s.spheres.kgr, scene, jnp.full(3, 0.5))
+    assert len(starts(scene, free)) == 2
+    assert len(starts(mirrors, free, bounces=1)) == 1  # not linear in the colours
+    assert len(starts(scene, ("color",))) == 1
+    assert len(starts(scene, (*free, "radius"))) == 1
 
 
 def test_what_is_known_is_used_and_kept():

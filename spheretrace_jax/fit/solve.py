@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,11 +21,13 @@ from .normal import Normal
 from .parameters import GEOMETRY
 from .problem import Problem, make_problem, normal_at
 from .run import Progress, Run
-from .start import propose
+from .start import from_lights, from_nothing
 from .strays import strays
 from .target import Loss
 from .trust import Trust, explains, judge
 from .uncertainty import Uncertainty, estimate
+
+Start = Literal["scene", "lights", "auto"]
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
 
@@ -104,7 +106,7 @@ def fit(
     noise: Any = None,
     darkest: float | None = None,
     loss: Loss = "square",
-    start: Literal["scene", "auto"] = "scene",
+    start: Start = "scene",
     gauge: Gauge = "ka",
     jacobian: Literal["structured", "dense"] = "structured",
     solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser | None = None,
@@ -142,8 +144,11 @@ def fit(
     - `darkest`: numbers up to this are under-exposed and do not count. 0 leaves out what is black.
     - `loss`: `"square"`; `"huber"` or `"cauchy"` for targets with outliers, in units of the noise,
       which is estimated from the residuals if it is not given.
-    - `start`: `"auto"` starts from nothing: of `scene` only the geometry, the number of lights and
-      what is not free are used, and directions all around are tried for the lights.
+    - `start`: `"lights"` looks for the lights first, from where they are in the scene, each time
+      with the materials that suit them best, in closed form (variable projection); `"scene"` does
+      so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
+      `scene` only the geometry, the number of lights and what is not free are used, and directions
+      all around are tried for the lights.
     - `gauge`: where color, ka and kd are all free, their common scale does not show: `"ka"` keeps
       ka at its start where the bounds allow it, `"color"` makes the brightest channel 1, `"none"`
       leaves what the solver came to.
@@ -190,7 +195,7 @@ def fit(
         found = _found(run, begin, gauge, noise)
         if best is None or not found.cost >= best.cost:
             best = found
-        if start == "scene" or found.interrupted:
+        if found.interrupted:
             break
         if found.converged and explains(found.problem, found.values, found.cost):
             break
@@ -204,18 +209,22 @@ def _geometry(free: Sequence[str]) -> str:
     return ", ".join(name for name in free if name in GEOMETRY)
 
 
-def _starts(problem: Problem, start: str) -> Iterator[Problem]:
+def _starts(problem: Problem, start: Start) -> Iterator[Problem]:
     """The problem from each of the starts that are to be tried."""
-    if start not in ("scene", "auto"):
-        raise InputError(f"start must be scene or auto, got {start!r}")
+    if start not in get_args(Start):
+        raise InputError(f"start must be {', '.join(get_args(Start))}, got {start!r}")
     free = problem.parameters[0].free
     if start == "scene":
         yield problem
-        return
-    if GEOMETRY & set(free):
-        raise InputError(f"start auto needs a known geometry, got {_geometry(free)} free")
-    if not len(problem.parameters[0].scene.lights):
-        raise InputError("start auto needs to know how many lights there are, the scene has none")
+        if not _projects(problem):
+            return
+    elif GEOMETRY & set(free):
+        raise InputError(f"start {start} needs a known geometry, got {_geometry(free)} free")
+    elif not len(problem.parameters[0].scene.lights):
+        raise InputError(
+            f"start {start} needs to know how many lights there are, the scene has none"
+        )
+    propose = from_nothing if start == "auto" else from_lights
     own = "light_position" in problem.own
     pictures = zip(problem.parameters, problem.targets, problem.options, strict=True)
     proposals = [
@@ -224,6 +233,15 @@ def _starts(problem: Problem, start: str) -> Iterator[Problem]:
     ]
     for scenes in zip(*proposals, strict=False):
         yield problem.starting_at(scenes)
+
+
+def _projects(problem: Problem) -> bool:
+    """Whether pictures are linear in what is free, except for the lights' positions."""
+    parameters = problem.parameters[0]
+    mirrors = any(o.bounces and o.needs.bounces for o in problem.options)
+    plain = all(t.loss == "square" for t in problem.targets)
+    lights = "light_position" in parameters.free
+    return plain and lights and not mirrors and not GEOMETRY & set(parameters.free)
 
 
 @eqx.filter_jit

@@ -126,8 +126,9 @@ def recovered(found: st.Fit, truth: st.Scene) -> bool:
         lambda s: s.spheres.ks,
     )
     for product in products:
-        shows = found.uncertainty.of(product) < KNOWN
-        if np.abs(np.where(shows, product(a) - product(b), 0)).max() > 1e-6:
+        spread = found.uncertainty.of(product)
+        off = np.where(spread < KNOWN, np.abs(product(a) - product(b)), 0)
+        if (off > np.maximum(1e-6, 2 * spread)).any():
             return False
     left = list(np.asarray(b.lights.position))
     for position in np.asarray(a.lights.position):
