@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import spheretrace_jax as st
 
@@ -31,6 +32,7 @@ def test_every_example_has_a_test():
     assert all(f'"{path.name}"' in text for path in EXAMPLES.glob("*.py"))
 
 
+@pytest.mark.slow
 def test_render_scene(tmp_path):
     said = run("render_scene.py", "--size", "48", folder=tmp_path)
     picture = st.read_image(tmp_path / "bowl.png")
@@ -47,6 +49,7 @@ def test_fit_picture(tmp_path):
     assert np.isfinite(list(found.values())).all()
 
 
+@pytest.mark.slow
 def test_fit_geometry(tmp_path):
     said = run("fit_geometry.py", "--size", "40", folder=tmp_path)
     assert "converged after" in said and "NOT" not in said

@@ -16,7 +16,7 @@ SIZE = dict(width=20, height=20, bounces=2)
     [
         ("two_coloured_lights", "blinn"),
         ("glass", "phong"),
-        ("planes", "phong"),
+        pytest.param("planes", "phong", marks=pytest.mark.slow),
         ("textures", "phong"),
         ("inside", "phong"),
     ],
@@ -61,7 +61,7 @@ def test_float32_scenes_are_checked_in_float64():
 
 @pytest.mark.parametrize(
     "name",
-    [n if n in ("shadows", "glass") else pytest.param(n, marks=pytest.mark.slow) for n in SCENES],
+    [n if n == "shadows" else pytest.param(n, marks=pytest.mark.slow) for n in SCENES],
 )
 def test_gradients_of_float32_pictures_are_finite_and_near_those_of_float64(name):
     scene = SCENES[name]

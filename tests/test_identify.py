@@ -287,6 +287,15 @@ def test_products_have_an_uncertainty_where_their_factors_have_none():
     assert np.abs(apart).max() < 1e-8
 
 
+def test_the_step_that_the_solver_did_not_take_counts():
+    truth = scene()
+    target = st.render(truth, bounces=0, **SIZE)
+    start = eqx.tree_at(lambda s: s.spheres.ks, truth, truth.spheres.ks + 0.05)
+    fit = found(start, ("ks",), target, noise=1e-6)  # linear: one step would do
+    spread = fit.uncertainty.standard_deviations["ks"]
+    np.testing.assert_allclose(spread, 0.05, rtol=1e-3)
+
+
 PRODUCTS = ("color", "ka", "kd", "ks", "light_color", "exposure")
 BACKGROUND = (0.1, 0.2, 0.3)  # where it is seen, it tells the exposure
 WALL = dict(center=[[-40, 0, 0], [45, 10, 0], [0, 0, -1100]], radius=[35, 30, 1000])

@@ -47,7 +47,7 @@ def gradient(scene: st.Scene, weights):
     return jax.grad(lambda s: jnp.sum(weights * st.render(s, needs=EVERYTHING, **SIZE)))(scene)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 @several
 @given(seed=seeds)
 def test_pictures_and_gradients_are_finite(dtype, seed):

@@ -111,6 +111,7 @@ def test_samples_are_the_average_of_a_finer_picture(name):
     np.testing.assert_allclose(coarse, fine.reshape(12, 2, 12, 2, 3).mean((1, 3)), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_antialias_1_is_nearer_to_many_samples_than_as_many_rays():
     scene = SCENES["shadows"]
     smooth = scene.with_antialias(1)

@@ -435,7 +435,7 @@ SMALL = np.full((4, 5, 3), 0.5)
         (dict(darkest=np.nan), "darkest must be a number, got nan"),
         (dict(loss="l1"), "loss must be one of square, huber, cauchy, got 'l1'"),
         (dict(gauge="kd"), "gauge must be one of ka, color, none, got 'kd'"),
-        (dict(start="nothing"), "start must be scene or auto, got 'nothing'"),
+        (dict(start="nothing"), "start must be one of scene, lights, auto, got 'nothing'"),
     ],
 )
 def test_mistakes_are_one_clear_line(unchecked, counts, message):

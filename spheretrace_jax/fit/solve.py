@@ -195,7 +195,7 @@ def fit(
         found = _found(run, begin, gauge, noise)
         if best is None or not found.cost >= best.cost:
             best = found
-        if found.interrupted:
+        if found.interrupted or (start == "scene" and found.steps >= max_steps):
             break
         if found.converged and explains(found.problem, found.values, found.cost):
             break
@@ -212,7 +212,7 @@ def _geometry(free: Sequence[str]) -> str:
 def _starts(problem: Problem, start: Start) -> Iterator[Problem]:
     """The problem from each of the starts that are to be tried."""
     if start not in get_args(Start):
-        raise InputError(f"start must be {', '.join(get_args(Start))}, got {start!r}")
+        raise InputError(f"start must be one of {', '.join(get_args(Start))}, got {start!r}")
     free = problem.parameters[0].free
     if start == "scene":
         yield problem
