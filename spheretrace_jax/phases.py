@@ -114,18 +114,39 @@ def _fetch_jvp(primals, tangents):
 
 
 def fetch_own(table: T, ids: Ids) -> T:
-    """`fetch` from tables of each pixel's own, of shape `(objects, *pixels)`.
+    """`fetch` from tables of each pixel's own, of shape `(objects, *pixels)`; not forwards.
 
     A table of one row gives that row, whatever the number.
     """
+    columns, shape = jax.tree.flatten(table)
+    return jax.tree.unflatten(shape, _fetch_own(columns, ids))
 
-    def one(column: Float[Array, "rows *#pixels"]) -> Plane:
-        if column.shape[0] <= UNROLL:
-            return _select(list(column), ids)
-        rows = _within(ids, column.shape[0])[None]
-        return jnp.take_along_axis(column, rows, axis=0, mode="promise_in_bounds")[0]
 
-    return jax.tree.map(one, table)
+@jax.custom_vjp
+def _fetch_own(columns: list[Float[Array, "rows *#pixels"]], ids: Ids) -> list[Plane]:
+    if columns[0].shape[0] <= UNROLL:
+        return [_select(list(column), ids) for column in columns]
+    row = _within(ids, columns[0].shape[0])[None]
+    take = lambda column: jnp.take_along_axis(column, row, axis=0, mode="promise_in_bounds")[0]
+    return [take(column) for column in columns]
+
+
+def _fetch_own_forward(columns: list, ids: Ids) -> tuple[list[Plane], tuple]:
+    return _fetch_own(columns, ids), (ids, columns[0].shape[0])
+
+
+def _fetch_own_backward(kept: tuple, slopes: list[Plane]) -> tuple[list, None]:
+    ids, count = kept
+    if count == 1:
+        return [slope[None] for slope in slopes], None
+    # kept, or what leads to them is computed again for each row
+    slopes = keep(slopes)
+    rows = jnp.arange(count, dtype=jnp.int32).reshape(-1, *[1] * ids.ndim)
+    mine = _within(ids, count)[None] == rows
+    return [jnp.where(mine, slope[None], 0) for slope in slopes], None
+
+
+_fetch_own.defvjp(_fetch_own_forward, _fetch_own_backward)
 
 
 def _within(ids: Ids, count: int) -> Ids:

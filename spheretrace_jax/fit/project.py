@@ -31,7 +31,7 @@ from .target import Target
 # So many pixels are looked at, and of each sphere so many at least, altogether in lots.
 _PIXELS, _LEAST, _LOT = 1500, 64, 1024
 
-# What comes out negative is 0, found out so many times.
+# What comes out negative is 0, found out so many times; each time the solution is refined.
 _ROUNDS = 3
 
 # Lights are tried so many at a time, whatever their number: what that takes is compiled once.
@@ -81,12 +81,11 @@ class Look(eqx.Module):
 
         def solve(_: Index, state: tuple) -> tuple:
             x, free = state
-            kept = jnp.where(free, 0, x)
             both = free[:, :, None] & free[:, None, :]
             diagonal = jnp.where(free, ridge, 1)[:, :, None] * jnp.eye(7, dtype=x.dtype)[None]
-            rest = jnp.where(free, right - jnp.einsum("nij,nj->ni", square, kept), 0)
+            rest = jnp.where(free, right - jnp.einsum("nij,nj->ni", square, x), 0)
             step = jnp.linalg.solve(jnp.where(both, square, 0) + diagonal, rest[..., None])
-            x = kept + step[..., 0]
+            x = x + step[..., 0]
             return jnp.maximum(x, 0), free & (x >= 0)
 
         start = jnp.where(free, 0, self.known), free

@@ -199,7 +199,8 @@ def main() -> None:
     warnings.simplefilter("ignore", st.SceneWarning)
     time_and_error()
     outliers()
-    recovery(arguments.scenes)
+    if arguments.scenes:
+        recovery(arguments.scenes)
 
 
 if __name__ == "__main__":
