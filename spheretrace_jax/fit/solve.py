@@ -22,7 +22,7 @@ from .parameters import GEOMETRY
 from .problem import Problem, make_problem, normal_at
 from .run import Progress, Run
 from .start import from_lights, from_nothing
-from .strays import strays
+from .strays import resting_on, strays
 from .target import Loss
 from .trust import Trust, explains, judge
 from .uncertainty import Uncertainty, estimate
@@ -298,7 +298,7 @@ def _past_shadows(run: Run, problem: Problem, values: PyTree) -> PyTree:
     if not shadows or "light_position" not in values:
         return values
     off = strays(problem, values, run.costs[-1])
-    if not any(x.any() for x in off) and explains(problem, values, run.costs[-1]):
+    if explains(problem, values, run.costs[-1]) and not resting_on(off, problem, values):
         return values
     cost, before, result = run.costs[-1], len(run.costs), run.result
     elsewhere, least = values, np.inf

@@ -58,16 +58,17 @@ def _far(
     return off > max(_FAR * typical, _least(target))
 
 
-def resting_on(strays: list[Bool[np.ndarray, "_ _ 3"]], fit) -> list[str]:
-    """The names of what of a `Fit` is known from strays, and hardly from the others."""
+def resting_on(
+    strays: list[Bool[np.ndarray, "_ _ 3"]], problem: Problem, values: PyTree
+) -> list[str]:
+    """The names of what is known from strays, and hardly from the others."""
     if not any(x.any() for x in strays):
         return []
-    problem: Problem = fit.problem
     kept = [jnp.where(x, 0, t.weight) for x, t in zip(strays, problem.targets, strict=True)]
     others = eqx.tree_at(lambda p: [t.weight for t in p.targets], problem, kept)
-    square = np.asarray(normal_at(others, fit.values).square, np.float64)
+    square = np.asarray(normal_at(others, values).square, np.float64)
     length = float(np.linalg.norm([t.length for t in problem.targets]))
-    spectrum = spectrum_of(np.asarray(fit.normal.square), length)
+    spectrum = spectrum_of(np.asarray(normal_at(problem, values).square), length)
     # in these directions the picture has a J^T J of 1
     one = spectrum.known / np.sqrt(spectrum.values[: spectrum.rank]) / spectrum.scale[:, None]
     shares, vectors = np.linalg.eigh(one.T @ square @ one)

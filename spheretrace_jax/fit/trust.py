@@ -57,7 +57,8 @@ def judge(fit) -> Trust:
     worst = int(np.argmax([part for part, _, _ in parts]))
     unexplained, where, limit = parts[worst]
     explains = unexplained <= limit
-    resting = resting_on(strays(fit.problem, fit.values, fit.cost), fit)
+    off = strays(fit.problem, fit.values, fit.cost)
+    resting = resting_on(off, fit.problem, fit.values)
     misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
     left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
     if fit.interrupted:
