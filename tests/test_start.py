@@ -82,6 +82,12 @@ def test_lights_are_looked_for_first_where_all_at_once_explains_nothing():
     assert len(starts(scene, (*free, "radius"))) == 1
 
 
+def test_spheres_out_of_sight_start_as_they_are():
+    away = eqx.tree_at(lambda s: s.spheres.center, world([9.0, 9, 9]), jnp.full((3, 3), 1e4))
+    found = st.fit(away, np.full((8, 8, 3), 0.5), bounces=0, max_steps=20)
+    assert eqx.tree_equal(found.scene.spheres, away.spheres) and not found.trust.ok
+
+
 def test_what_is_known_is_used_and_kept():
     truth = world([900.0, -400, 700])
     known = eqx.tree_at(lambda s: s.lights.position, truth, jnp.asarray([[0.0, 0, 900]]))

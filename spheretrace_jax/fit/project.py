@@ -112,7 +112,7 @@ def look_at(scene: Scene, target: Target, options: Options, free: tuple[str, ...
     every = max(1, len(pixels) // _PIXELS)
     some = order[small | (np.arange(len(order)) % every == 0)]
     # a round number of them, so that another scene does not compile again; the rest weigh nothing
-    short = -len(some) % _LOT
+    short = max(1, -(-len(some) // _LOT)) * _LOT - len(some)
     at, sphere = (jnp.asarray(np.pad(x[some], (0, short))) for x in (pixels, ids))
     weight = jnp.where(jnp.arange(at.size)[:, None] < len(some), weight[at], 0)
     return Look(scene, at, sphere, image[at], weight, _known(scene, free), options)

@@ -236,12 +236,14 @@ def _starts(problem: Problem, start: Start) -> Iterator[Problem]:
 
 
 def _projects(problem: Problem) -> bool:
-    """Whether pictures are linear in what is free, except for the lights' positions."""
+    """Whether pictures are linear in what is free of the spheres, and the lights are free."""
     parameters = problem.parameters[0]
-    mirrors = any(o.bounces and o.needs.bounces for o in problem.options)
-    plain = all(t.loss == "square" for t in problem.targets)
-    lights = "light_position" in parameters.free
-    return plain and lights and not mirrors and not GEOMETRY & set(parameters.free)
+    known = not GEOMETRY & set(parameters.free) and "light_position" in parameters.free
+    own_light = all(
+        not o.needs.textures and not (o.bounces and o.needs.bounces) for o in problem.options
+    )
+    square = all(t.loss == "square" for t in problem.targets)
+    return known and own_light and square and len(parameters.scene.spheres) > 0
 
 
 @eqx.filter_jit
