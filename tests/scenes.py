@@ -70,6 +70,21 @@ SCENES = {
 }
 
 
+def three_apart(*lights, **changes) -> st.Scene:
+    """Three matt and shiny spheres side by side, seen along -z."""
+    parts = dict(
+        center=[[-90.0, 60, 0], [80, 70, 60], [10, -90, -40]],
+        radius=[80.0, 60, 90],
+        color=[[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
+        ka=[0.2, 0.15, 0.3],
+        kd=[0.6, 0.5, 0.4],
+        ks=[0.4, 0.2, 0.3],
+        exponent=[5.0, 60, 20],
+    )
+    lights = st.Lights(np.reshape(lights, (-1, 3)).astype(float))
+    return st.Scene(st.Spheres(**(parts | changes)), lights, st.Camera(0.0, 0.0, 1200.0, 1200.0))
+
+
 def nine_spheres(light=(100.0, 900.0, 300.0), dtype=np.float64) -> st.Scene:
     """The lecture's scene, not antialiased; by default with a light that casts shadows."""
     scene = st.load_scene(Path(__file__).parent.parent / "data" / "nine_spheres.txt", dtype)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import three_apart as world
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.problem import make_problem
@@ -12,20 +13,6 @@ from spheretrace_jax.report import determined
 
 PLAIN = dict(bounces=0)
 SIZE = dict(width=64, height=64)
-SPHERES = st.Spheres(
-    [[-90.0, 60, 0], [80, 70, 60], [10, -90, -40]],
-    [80.0, 60, 90],
-    [[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
-    ka=[0.2, 0.15, 0.3],
-    kd=[0.6, 0.5, 0.4],
-    ks=[0.4, 0.2, 0.3],
-    exponent=[5.0, 60, 20],
-)
-CAMERA = st.Camera(0.0, 0.0, 1200.0, 1200.0)
-
-
-def world(*lights) -> st.Scene:
-    return st.Scene(SPHERES, st.Lights(list(lights)), CAMERA)
 
 
 def grey(truth: st.Scene) -> st.Scene:
@@ -99,8 +86,9 @@ def test_what_is_known_is_used_and_kept():
 
 @pytest.mark.slow
 def test_a_picture_of_something_else_is_not_trusted():
-    other = eqx.tree_at(lambda s: s.center, SPHERES, SPHERES.center[::-1])
-    target = st.render(st.Scene(other, st.Lights([[900.0, -400, 700]]), CAMERA), **SIZE, **PLAIN)
+    truth = world([900.0, -400, 700])
+    other = eqx.tree_at(lambda s: s.spheres.center, truth, truth.spheres.center[::-1])
+    target = st.render(other, **SIZE, **PLAIN)
     found = st.fit(grey(world([0.0, 0, 900])), target, start="auto", **PLAIN)
     assert not found.trust.ok
     assert "does NOT explain" in found.trust.verdict or "NOT converged" in found.trust.verdict
@@ -111,7 +99,7 @@ def test_a_picture_of_something_else_is_not_trusted():
     [
         (world([0.0, 0, 900]), dict(free=("radius",)), "a known geometry, got radius free"),
         (
-            st.Scene(SPHERES, st.Lights(np.zeros((0, 3))), CAMERA),
+            world(),
             dict(free=("color",)),
             "the scene has none",
         ),

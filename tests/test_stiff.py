@@ -4,27 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import three_apart as scene
 
 import spheretrace_jax as st
 
 SIZE = dict(width=64, height=64)
-CAMERA = st.Camera(0.0, 0.0, 1200.0, 1200.0)
-PARTS = dict(
-    center=[[-90.0, 60, 0], [80, 70, 60], [10, -90, -40]],
-    radius=[80.0, 60, 90],
-    color=[[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
-    ka=[0.2, 0.15, 0.3],
-    kd=[0.6, 0.5, 0.4],
-    ks=[0.4, 0.2, 0.3],
-    exponent=[5.0, 60, 20],
-)
 LIGHT = [900.0, -400, 700]
 FAINT = [[1e-6, 2e-6, 1e-6], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]]
 IN_FRONT = [[-90.0, 60, 0], [10, -10, 40], [110, -110, 180]]
-
-
-def scene(*lights, **changes) -> st.Scene:
-    return st.Scene(st.Spheres(**(PARTS | changes)), st.Lights(list(lights)), CAMERA)
 
 
 def off(truth: st.Scene, exponent: bool) -> st.Scene:

@@ -62,9 +62,8 @@ def test_strays_on_which_nothing_rests_are_no_fault():
 
 def test_what_fits_has_none(whole):
     off = strays(whole.problem, whole.values, whole.cost)
-    assert (
-        not off[0].any() and resting_on(off, whole.problem, whole.values) == [] and whole.trust.ok
-    )
+    assert not off[0].any() and resting_on(off, whole.problem, whole.values) == []
+    assert whole.trust.ok
     noisy = PICTURE + 0.003 * np.random.default_rng(0).uniform(-1, 1, PICTURE.shape)
     found = st.fit(start(), noisy, **PLAIN)
     assert not strays(found.problem, found.values, found.cost)[0].any() and found.trust.ok

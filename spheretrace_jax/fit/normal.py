@@ -36,7 +36,7 @@ from ..visibility import hit_of
 from ..world import Own, World, build_world
 from .layout import Layout
 from .lists import EDGE, MOST, SEVERAL, STILL, Lists, sorted_pixels
-from .rows import Rows, seen_and_rows
+from .rows import Seen, seen_and_rows
 from .target import Target
 
 # Of pixels that show several objects so many are looked at at once that their part of the Jacobian
@@ -75,32 +75,37 @@ def normal_equations(
     edge = sampled(scene, options)[1] if options.antialias else None
     if lists is None:
         lists = sorted_pixels(scene, layout, options, edge)
-    sums = _Sums(lists, target, exposure, layout)
     weights = None if edge is None else _weights(edge, options, scene.dtype)
+    picture = _Picture(scene, world, target, exposure, lists, weights, layout, options)
     n, dtype = layout.size, scene.dtype
     normal = Normal(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype))
-    normal = _add_still(normal, scene, world, sums, options, weights)
-    normal = _add_single(normal, scene, world, sums, options, weights)
+    normal = _add_single(_add_still(normal, picture), picture)
     if options.bounces or (options.samples > 1 and not options.antialias):
-        look = partial(_near, weights=weights, options=options, look=_through(options))
-        normal = _add_mixed(normal, scene, world, sums, SEVERAL, look)
+        normal = _add_mixed(normal, picture, SEVERAL, partial(picture.near, _through(options)))
     if options.antialias:
-        look = partial(_mean, options=options, look=_over(options))
-        normal = _add_mixed(normal, scene, world, sums, EDGE, look)
+        normal = _add_mixed(normal, picture, EDGE, partial(_mean, _over(options), options))
     return normal
 
 
-Seen = tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows]]
-"""What some pixels see, and from slopes the rows of its Jacobian times these."""
+class _Picture(eqx.Module):
+    """A scene's picture and its target, list by list."""
 
-
-class _Sums(eqx.Module):
-    """A picture's target, list by list."""
-
-    lists: Lists
+    scene: Scene
+    world: World
     target: Target
     exposure: Float[Array, " 3"]
+    lists: Lists
+    weights: Float[Array, "5 pixels"] | None  #: of `_BESIDE`; None for pixels that are points
     layout: Layout = eqx.field(static=True)
+    options: Options = eqx.field(static=True)
+
+    def near(self, look: Look, scene: Scene, world: World, pixels: Ids, alive: Mask) -> Vec:
+        """The mean of some pixels and, as `render.averaged` says, a little of their neighbours."""
+        mean = partial(_mean, look, self.options, scene, world, pixels, alive)
+        if self.weights is None:
+            return mean()
+        beside = (*jnp.asarray(_BESIDE, scene.dtype), self.weights[:, pixels])
+        return _sum(lambda x: mean((x[0], x[1])) * x[2], beside)
 
     def add(
         self,
@@ -146,15 +151,9 @@ class _Sums(eqx.Module):
         return lax.fori_loop(0, -((begin - end) // count), some, normal)
 
 
-def _add_still(
-    normal: Normal,
-    scene: Scene,
-    world: World,
-    sums: _Sums,
-    options: Options,
-    weights: Float[Array, "5 pixels"] | None,
-) -> Normal:
+def _add_still(normal: Normal, picture: _Picture) -> Normal:
     """Adds the background that does not move."""
+    options = picture.options
 
     def sky(scene: Scene, world: World, pixels: Ids, alive: Mask, *at: Array) -> Vec:
         black = zeros(pixels.shape, scene.dtype)
@@ -163,25 +162,18 @@ def _add_still(
         return black + background(scene, rays_through(scene, options, pixels, *at).direction)
 
     def look(pixels: Ids, alive: Mask) -> Seen:
-        seen = _near(scene, world, pixels, alive, weights, options, sky)
+        seen = picture.near(sky, picture.scene, picture.world, pixels, alive)
         none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
         return jnp.stack([seen.x, seen.y, seen.z]), none
 
-    exposure = sums.layout.exposure
+    exposure = picture.layout.exposure
     columns = jnp.zeros(0, jnp.int32) if exposure is None else jnp.asarray(exposure)
-    return sums.add(normal, STILL, columns, look, MOST)
+    return picture.add(normal, STILL, columns, look, MOST)
 
 
-def _add_single(
-    normal: Normal,
-    scene: Scene,
-    world: World,
-    sums: _Sums,
-    options: Options,
-    weights: Float[Array, "5 pixels"] | None,
-) -> Normal:
+def _add_single(normal: Normal, picture: _Picture) -> Normal:
     """Adds the pixels that show one object each, object by object."""
-    layout = sums.layout
+    world, layout, options = picture.world, picture.layout, picture.options
     tables, objects = Own(world.balls, world.materials), world.spheres + world.planes
     # their paths end where they begin
     options_ = dataclasses.replace(options, bounces=0)
@@ -190,42 +182,36 @@ def _add_single(
         own = jax.tree.map(lambda t: t[jnp.minimum(number, len(t) - 1)][None], tables)
         id_ = jnp.where(number < objects, number, -1).astype(world.id_type)
 
-        def look(scene: Scene, world: World, pixels: Ids, alive: Mask, *at: Array) -> Vec:
+        def surface(scene: Scene, world: World, pixels: Ids, alive: Mask, *at: Array) -> Vec:
             ray = rays_through(scene, options, pixels, *at)
             hit = hit_of(world, ray, jnp.broadcast_to(id_, pixels.shape), options.needs)
             path = Path(ray, hit, jnp.ones(pixels.shape, scene.dtype), alive, None)
             return shade(scene, world, path, options_)[0]
 
-        def rows(pixels: Ids, alive: Mask) -> Seen:
-            see = partial(
-                _near, pixels=pixels, alive=alive, weights=weights, options=options, look=look
-            )
-            return seen_and_rows(see, scene, world, own, layout, pixels.size)
+        def look(pixels: Ids, alive: Mask) -> Seen:
+            see = partial(picture.near, surface, pixels=pixels, alive=alive)
+            return seen_and_rows(see, picture.scene, world, own, layout, pixels.size)
 
-        columns = jnp.asarray(layout.each)[number]
-        return sums.add(normal, number, columns, rows, MOST)
+        return picture.add(normal, number, jnp.asarray(layout.each)[number], look, MOST)
 
     return lax.fori_loop(0, len(layout.each), object_, normal)
 
 
-def _add_mixed(
-    normal: Normal,
-    scene: Scene,
-    world: World,
-    sums: _Sums,
-    kind: int,
-    look: Callable[..., Vec],
-) -> Normal:
-    """Adds the pixels that show several objects, of one kind."""
-    tables, layout = Own(world.balls, world.materials), sums.layout
+def _add_mixed(normal: Normal, picture: _Picture, kind: int, mean: Callable[..., Vec]) -> Normal:
+    """Adds the pixels that show several objects, of one kind.
 
-    def rows(pixels: Ids, alive: Mask) -> Seen:
-        see = partial(look, pixels=pixels, alive=alive)
+    **Arguments:** `mean`: what they see.
+    """
+    scene, world, layout = picture.scene, picture.world, picture.layout
+    tables = Own(world.balls, world.materials)
+
+    def look(pixels: Ids, alive: Mask) -> Seen:
+        see = partial(mean, pixels=pixels, alive=alive)
         return seen_and_rows(see, scene, world, tables, layout, pixels.size)
 
     columns = jnp.asarray(layout.all)
     count = max(64, min(MOST // 2, MOST_NUMBERS // columns.size))
-    return sums.add(normal, len(layout.each) + kind, columns, rows, count)
+    return picture.add(normal, len(layout.each) + kind, columns, look, count)
 
 
 def _through(options: Options) -> Look:
@@ -241,12 +227,12 @@ def _over(options: Options) -> Look:
 
 
 def _mean(
+    look: Look,
+    options: Options,
     scene: Scene,
     world: World,
     pixels: Ids,
     alive: Mask,
-    options: Options,
-    look: Look,
     shift: tuple[Array, Array] | None = None,
 ) -> Vec:
     """The mean of some pixels' samples. **Arguments:** `shift`: how far beside them."""
@@ -255,23 +241,6 @@ def _mean(
         left, top = left + shift[0], top + shift[1]
     see = lambda at: look(scene, world, pixels, alive, *at)
     return _sum(see, (left, top)) * (1 / options.samples**2)
-
-
-def _near(
-    scene: Scene,
-    world: World,
-    pixels: Ids,
-    alive: Mask,
-    weights: Float[Array, "5 pixels"] | None,
-    options: Options,
-    look: Look,
-) -> Vec:
-    """The mean of some pixels and, as `render.averaged` says, a little of their neighbours."""
-    mean = partial(_mean, scene, world, pixels, alive, options, look)
-    if weights is None:
-        return mean()
-    beside = (*jnp.asarray(_BESIDE, scene.dtype), weights[:, pixels])
-    return _sum(lambda x: mean((x[0], x[1])) * x[2], beside)
 
 
 def _sum(term: Callable[[Any], Vec], over: Any) -> Vec:
@@ -284,9 +253,7 @@ def _sum(term: Callable[[Any], Vec], over: Any) -> Vec:
     return lax.scan(jax.checkpoint(add), first, rest)[0]
 
 
-def _weights(edge: Mask, options: Options, dtype: np.dtype) -> Float[Array, "5 pixels"] | None:
-    """What a pixel and those of `_BESIDE` count in its mean; None for pixels that are points."""
-    if not options.antialias:
-        return None
+def _weights(edge: Mask, options: Options, dtype: np.dtype) -> Float[Array, "5 pixels"]:
+    """What a pixel and those of `_BESIDE` count in its mean."""
     across, down = (bend_part(options) * m.astype(dtype) for m in smooth_beside(edge))
     return jnp.stack([1 - 2 * across - 2 * down, across, across, down, down]).reshape(5, -1)

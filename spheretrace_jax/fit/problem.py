@@ -105,6 +105,11 @@ class Problem(eqx.Module):
         return sum(t.counted for t in self.targets)
 
     @property
+    def length(self) -> float:
+        """The root of the sum of the squares of the targets' weighted numbers."""
+        return float(np.linalg.norm([t.length for t in self.targets]))
+
+    @property
     def noise(self) -> list[float]:
         """Each target's noise, as robust losses take it."""
         return [float(t.noise) for t in self.targets]

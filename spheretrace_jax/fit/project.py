@@ -7,6 +7,8 @@ where steps in all unknowns at once lose their way. Some of the picture's pixels
 """
 
 import dataclasses
+from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -35,7 +37,7 @@ _PIXELS, _LEAST, _LOT = 1500, 64, 1024
 _ROUNDS = 3
 
 # Lights are tried so many at a time, whatever their number: what that takes is compiled once.
-BLOCK = 64
+_BLOCK = 64
 
 # The steps for the lights end where they move by less than this, or after so many.
 _TOLERANCE, _MOST_STEPS = 1e-6, 40
@@ -188,12 +190,13 @@ def scene_with(look: Look, free: tuple[str, ...], lights: Float[Array, "lights 3
     ka, kd = (np.clip(np.sum(t * color, axis=1) / square, 0, 1) for t in (a, b))
     new = {"color": color, "ka": ka, "kd": kd, "ks": np.clip(x[:, 6], 0, 1)}
     shown = np.isin(np.arange(len(spheres)), np.asarray(look.sphere))
-    for name in new.keys() & {*free}:  # of what is not seen the start is kept
+    values = [lights]
+    names = [name for name in new if name in free]
+    for name in names:  # of what is not seen the start is kept
         old = getattr(spheres, name)
-        value = np.where(shown[:, None] if old.ndim > 1 else shown, new[name], old)
-        place = lambda s, name=name: getattr(s.spheres, name)
-        scene = eqx.tree_at(place, scene, jnp.asarray(value, scene.dtype))
-    return eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray(lights, scene.dtype))
+        values.append(np.where(shown[:, None] if old.ndim > 1 else shown, new[name], old))
+    places = lambda s: [s.lights.position, *(getattr(s.spheres, name) for name in names)]
+    return eqx.tree_at(places, scene, [jnp.asarray(value, scene.dtype) for value in values])
 
 
 @eqx.filter_jit
@@ -203,10 +206,7 @@ def _materials(look: Look, terms: Terms) -> Materials:
 
 def tried(look: Look, positions: Float[np.ndarray, "lights 3"]) -> Terms:
     """`terms_at` for any number of lights, from the host."""
-    count = len(positions)
-    padded = np.pad(positions, ((0, -count % BLOCK), (0, 0)), mode="edge")
-    blocks = jnp.asarray(padded.reshape(-1, BLOCK, 3), look.scene.dtype)
-    return jnp.concatenate([_terms(look, block) for block in blocks])[:count]
+    return _in_blocks(partial(_terms, look), jnp.asarray(positions, look.scene.dtype))
 
 
 @eqx.filter_jit
@@ -216,15 +216,21 @@ def _terms(look: Look, positions: Float[Array, "lights 3"]) -> Terms:
 
 def costs(look: Look, terms: Terms, candidates: Float[Array, "c 2 pixels"], k: int) -> np.ndarray:
     """What is left if light k is one of the candidates, and the others stay; from the host."""
-    count = len(candidates)
-    padded = jnp.pad(candidates, ((0, -count % BLOCK), (0, 0), (0, 0)))
-    blocks = padded.reshape(-1, BLOCK, *padded.shape[1:])
-    return np.concatenate([_costs(look, terms, block, jnp.asarray(k)) for block in blocks])[:count]
+    return np.asarray(_in_blocks(partial(_costs, look, terms, jnp.asarray(k)), candidates))
 
 
 @eqx.filter_jit
 def _costs(
-    look: Look, terms: Terms, candidates: Float[Array, "c 2 pixels"], k: Index
+    look: Look, terms: Terms, k: Index, candidates: Float[Array, "c 2 pixels"]
 ) -> Float[Array, " c"]:
     cost = lambda candidate: jnp.sum(look.residual(terms.at[k].set(candidate)) ** 2)
     return lax.map(cost, candidates)
+
+
+def _in_blocks(
+    function: Callable[[Float[Array, "block ..."]], Array], rows: Float[Array, "count ..."]
+) -> Array:
+    """A function of rows, which is given so many at a time."""
+    beyond = [(0, -len(rows) % _BLOCK), *[(0, 0)] * (rows.ndim - 1)]
+    blocks = jnp.pad(rows, beyond, mode="edge").reshape(-1, _BLOCK, *rows.shape[1:])
+    return jnp.concatenate([function(block) for block in blocks])[: len(rows)]

@@ -21,6 +21,9 @@ from .parameters import CAMERA, LIGHTS, SPHERES
 
 Rows = Float[Array, "columns 3 pixels"]
 
+Seen = tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows]]
+"""What some pixels see, and from slopes the rows of its Jacobian times these."""
+
 #: Where the spheres' parameters are in the tables that pixels have of their own.
 _OWN = {
     "color": lambda own: own.materials.color,
@@ -43,7 +46,7 @@ def seen_and_rows(
     own: Own,
     layout: Layout,
     count: int,
-) -> tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows]]:
+) -> Seen:
     """What some pixels see, and a function to its derivatives by what is free.
 
     **Arguments:** `see`: from a scene to the colours, planes of shape `(pixels,)`. `own`: the

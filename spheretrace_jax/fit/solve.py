@@ -195,6 +195,7 @@ def fit(
         found = _found(run, begin, gauge, noise)
         if best is None or not found.cost >= best.cost:
             best = found
+        # another start after the scene's own is for what it does not find, not for too few steps
         if found.interrupted or (start == "scene" and found.steps >= max_steps):
             break
         if found.converged and explains(found.problem, found.values, found.cost):
@@ -239,11 +240,11 @@ def _projects(problem: Problem) -> bool:
     """Whether pictures are linear in what is free of the spheres, and the lights are free."""
     parameters = problem.parameters[0]
     known = not GEOMETRY & set(parameters.free) and "light_position" in parameters.free
-    own_light = all(
+    plain = all(
         not o.needs.textures and not (o.bounces and o.needs.bounces) for o in problem.options
     )
     square = all(t.loss == "square" for t in problem.targets)
-    return known and own_light and square and len(parameters.scene.spheres) > 0
+    return known and plain and square and len(parameters.scene.spheres) > 0
 
 
 @eqx.filter_jit
@@ -299,10 +300,11 @@ def _past_shadows(run: Run, problem: Problem, values: PyTree) -> PyTree:
     shadows = any(o.needs.shadows and not o.antialias for o in problem.options)
     if not shadows or "light_position" not in values:
         return values
-    off = strays(problem, values, run.costs[-1])
-    if explains(problem, values, run.costs[-1]) and not resting_on(off, problem, values):
-        return values
     cost, before, result = run.costs[-1], len(run.costs), run.result
+    if explains(problem, values, cost) and not resting_on(
+        strays(problem, values, cost), problem, values
+    ):
+        return values
     elsewhere, least = values, np.inf
     for _ in range(_MOST_ROUNDS):
         elsewhere = run.solve(problem.without_worst_at(elsewhere), elsewhere)

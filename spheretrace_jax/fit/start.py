@@ -43,10 +43,10 @@ def from_nothing(
 
     **Arguments:** `scene`: its geometry, number of lights, and what is not free, are used.
     """
-    look = look_at(scene, target, options, free)
     if "light_position" not in free:
-        yield scene_with(look, free, scene.lights.position)
+        yield from from_lights(scene, target, options, free)
         return
+    look = look_at(scene, target, options, free)
     middle, size = (np.asarray(x, np.float64) for x in extent(scene))
     grid = np.concatenate([middle + size * far * _all_around(_DIRECTIONS) for far in _DISTANCES])
     best = lambda terms, among, k: int(np.argmin(costs(look, terms, among, k)))

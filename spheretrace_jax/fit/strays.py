@@ -45,8 +45,7 @@ def strays(problem: Problem, values: PyTree, cost: float) -> list[Bool[np.ndarra
 
 def _least(target: Target) -> float:
     """What numbers may be off by for reasons of rounding."""
-    mean = target.length / np.sqrt(target.counted)
-    return float(4 * np.sqrt(np.finfo(target.image.dtype).eps) * mean)
+    return float(4 * np.sqrt(np.finfo(target.image.dtype).eps) * target.size)
 
 
 def _far(
@@ -67,8 +66,7 @@ def resting_on(
     kept = [jnp.where(x, 0, t.weight) for x, t in zip(strays, problem.targets, strict=True)]
     others = eqx.tree_at(lambda p: [t.weight for t in p.targets], problem, kept)
     square = np.asarray(normal_at(others, values).square, np.float64)
-    length = float(np.linalg.norm([t.length for t in problem.targets]))
-    spectrum = spectrum_of(np.asarray(normal_at(problem, values).square), length)
+    spectrum = spectrum_of(np.asarray(normal_at(problem, values).square), problem.length)
     # in these directions the picture has a J^T J of 1
     one = spectrum.known / np.sqrt(spectrum.values[: spectrum.rank]) / spectrum.scale[:, None]
     shares, vectors = np.linalg.eigh(one.T @ square @ one)

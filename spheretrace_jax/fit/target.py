@@ -53,6 +53,11 @@ class Target(eqx.Module):
         numbers = np.asarray(self.image * self.weight).reshape(-1)
         return float(np.sqrt(numbers @ numbers))
 
+    @property
+    def size(self) -> float:
+        """The root-mean-square of those that count."""
+        return self.length / np.sqrt(self.counted)
+
     def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
         """weight (exposure picture - target)."""
         return self.weight * (picture * exposure[None, None, :] - self.image)

@@ -57,8 +57,10 @@ def judge(fit) -> Trust:
     worst = int(np.argmax([part for part, _, _ in parts]))
     unexplained, where, limit = parts[worst]
     explains = unexplained <= limit
-    off = strays(fit.problem, fit.values, fit.cost)
-    resting = resting_on(off, fit.problem, fit.values)
+    ok, resting = fit.converged and not fit.interrupted and explains, []
+    if ok:
+        off = strays(fit.problem, fit.values, fit.cost)
+        resting = resting_on(off, fit.problem, fit.values)
     misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
     left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
     if fit.interrupted:
@@ -73,8 +75,7 @@ def judge(fit) -> Trust:
     else:
         end = "converged"
     verdict = f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
-    ok = fit.converged and not fit.interrupted and explains and not resting
-    return Trust(ok=ok, verdict=verdict, unexplained=unexplained, fit=fit)
+    return Trust(ok=ok and not resting, verdict=verdict, unexplained=unexplained, fit=fit)
 
 
 def explains(problem: Problem, values: PyTree, cost: float) -> bool:
@@ -87,8 +88,8 @@ def explains(problem: Problem, values: PyTree, cost: float) -> bool:
 
 
 def _size(target: Target) -> float:
-    """The root-mean-square of the weighted numbers that count."""
-    return target.length / np.sqrt(target.counted) or 1.0
+    """What misfits are parts of: of a black picture they are no parts."""
+    return target.size or 1.0
 
 
 def _at_bounds(fit) -> list[str]:

@@ -186,7 +186,7 @@ def estimate(problem: Problem, values: PyTree, normal: Normal, noise: float | No
     the fit leaves.
     """
     square, gradient, slopes = _in_float64(problem, values, normal)
-    spectrum = spectrum_of(square, float(np.linalg.norm([t.length for t in problem.targets])))
+    spectrum = spectrum_of(square, problem.length)
     told, explained = _confirmed(reasons(problem, values, spectrum.hidden, slopes), spectrum)
     if spectrum.shown(explained) > spectrum.least:
         spectrum = spectrum.without(explained)

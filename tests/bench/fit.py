@@ -54,10 +54,8 @@ def displaced(scene: st.Scene) -> st.Scene:
     """Centres off by half a radius along x and y, radii by 30 %, no sphere within another."""
     i, j = np.divmod(np.arange(9), 3)
     radius = scene.spheres.radius
-    shift = (
-        np.stack([(-1.0) ** j, (-1.0) ** i, 0 * i], 1) / np.sqrt(8) * np.asarray(radius)[:, None]
-    )
-    new = scene.spheres.center + shift, radius * (1 - 0.3 * (-1.0) ** (i + j))
+    away = np.stack([(-1.0) ** j, (-1.0) ** i, 0 * i], axis=1) / np.sqrt(8)
+    new = scene.spheres.center + away * radius[:, None], radius * (1 - 0.3 * (-1.0) ** (i + j))
     return eqx.tree_at(lambda s: (s.spheres.center, s.spheres.radius), scene, new)
 
 
