@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ._types import Index, Mask, Plane
-from .appearance import background, local_color
+from .appearance import background, light_sums, local_color
 from .camera import Ray
 from .coverage import half_plane
 from .halfplane import HalfPlane, common_area, everything, untouched
@@ -30,7 +30,7 @@ from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
 from .vec import Vec, dot, unit, where, zeros
-from .world import Hit, Material, Surface, World, chord_range, mean_root, surface_at
+from .world import Hit, Surface, World, chord_range, mean_root, surface_at
 
 #: Outlines in front of a layer that are cut out of it: those next before it.
 FRONTS = 3
@@ -105,11 +105,9 @@ def layer_color(
     needs, ray = options.needs, beam.value
     mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
     surface = mean_surface(ray)
-    material = world.material(hit.id)
-    terms = lambda light: _terms(
-        world, beam, reach, hit, surface, material, light, visible, options
-    )
-    color = local_color(scene, world, hit, surface, material, needs, terms)
+    terms = lambda light: _terms(world, beam, reach, hit, surface, light, visible, options)
+    sums = light_sums(scene, hit.id.shape, terms)
+    color = local_color(scene, world, hit, surface, needs, sums)
     if not options.bounces:
         return color
     later = dataclasses.replace(options, bounces=options.bounces - 1)
@@ -117,7 +115,7 @@ def layer_color(
     def choose(choice: Index) -> Vec:
         def onward(ray: Ray, surface: Surface) -> Path:
             path = Path(ray, hit, jnp.ones_like(reach), alive, None)
-            path = next_path(world, path, surface, material, needs, choice)
+            path = next_path(world, path, surface, needs, choice)
             # the mean normal of a sphere as small as the pixel is shorter than 1
             mirrored = Ray(path.ray.origin, unit(path.ray.direction))
             return eqx.tree_at(lambda p: p.ray, path, mirrored)
@@ -143,7 +141,6 @@ def _terms(
     reach: Plane,
     hit: Hit,
     surface: Surface,
-    material: Material,
     light: Vec,
     visible: tuple[HalfPlane, ...],
     options: Options,
@@ -169,9 +166,8 @@ def _terms(
 
     abrupt = lit & ends_abruptly(options.highlight, to_light, ray.direction)
     part = part * lax.cond(jnp.any(abrupt), front, lambda: (cosine > 0).astype(part.dtype))
-    shine = power(
-        HIGHLIGHTS[options.highlight](surface, to_light, ray.direction), material.exponent
-    )
+    exponent = world.material(hit.id, lambda m: m.exponent)
+    shine = power(HIGHLIGHTS[options.highlight](surface, to_light, ray.direction), exponent)
     return diffuse, shine * part
 
 

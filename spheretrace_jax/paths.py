@@ -12,17 +12,17 @@ from jax import lax
 from jaxtyping import Array, Int
 
 from ._types import Index, Mask, Plane
-from .appearance import background, local_color
+from .appearance import background, light_sums, local_color
 from .camera import Ray
 from .edges import Cone, near_edge, onward
 from .needs import Needs
 from .options import Options
-from .phases import materialise_pair
+from .phases import materialise, materialise_pair, remember
 from .scene import Scene
 from .shading import light_terms
 from .vec import Vec, reflect, where, zeros
 from .visibility import nearest, unoccluded
-from .world import Hit, Material, Surface, World, surface_at
+from .world import Hit, Surface, World, surface_at
 
 
 class Path(eqx.Module):
@@ -138,38 +138,44 @@ def shade(
     **Arguments:** `choice`: where an object both reflects and transmits, 0 to reflect.
     """
     needs, ray, hit = options.needs, path.ray, path.hit
-    surface = surface_at(world, ray, hit, needs)
-    material = world.material(hit.id)
-    terms = lambda light: light_terms_at(world, ray, hit, surface, material, light, options)
-    color = local_color(scene, world, hit, surface, material, needs, terms)
-    if needs.background:
-        color = where(hit.id >= 0, color, background(scene, ray.direction))
-        seen = path.alive
-    else:
-        seen = path.alive & (hit.id >= 0)
-    color = where(seen, color * path.weight, zeros(path.weight.shape, scene.dtype))
+    terms = lambda light: light_terms_at(world, ray, hit, light, options)
+    sums = light_sums(scene, hit.id.shape, terms)
+
+    def color() -> Vec:
+        surface = surface_at(world, ray, hit, needs)
+        color, seen = local_color(scene, world, hit, surface, needs, sums), path.alive
+        if needs.background:
+            color = where(hit.id >= 0, color, background(scene, ray.direction))
+        else:
+            seen = seen & (hit.id >= 0)
+        return where(seen, color * path.weight, zeros(path.weight.shape, scene.dtype))
+
+    color_ = materialise(color, world.window)
     if not needs.bounces:
-        return color, path
-    return color, next_path(world, path, surface, material, needs, choice)
+        return color_, path
+    surface = surface_at(world, ray, hit, needs)
+    return color_, next_path(world, path, surface, needs, choice)
 
 
 def light_terms_at(
-    world: World,
-    ray: Ray,
-    hit: Hit,
-    surface: Surface,
-    material: Material,
-    light: Vec,
-    options: Options,
+    world: World, ray: Ray, hit: Hit, light: Vec, options: Options
 ) -> tuple[Plane, Plane]:
-    """N.L and the highlight of one light, 0 where it does not reach."""
-    highlight = options.highlight if options.needs.highlights else None
+    """N.L and the highlight of one light where rays meet objects, 0 where it does not reach."""
+    needs = options.needs
+    highlight = options.highlight if needs.highlights else None
     lit = hit.id >= 0
-    if options.needs.shadows:
-        lit = lit & unoccluded(world, surface.point, hit, light, options.needs)
+    if needs.shadows:
+
+        def sees_light() -> Mask:
+            point = surface_at(world, ray, hit, needs).point
+            return unoccluded(world, point, hit, light, needs)
+
+        lit = lit & remember(materialise(sees_light, world.window))
 
     def terms() -> tuple[Plane, Plane]:
-        return light_terms(surface, ray.direction, light, material.exponent, lit, highlight)
+        surface = surface_at(world, ray, hit, needs)
+        exponent = world.material(hit.id, lambda m: m.exponent)
+        return light_terms(surface, ray.direction, light, exponent, lit, highlight)
 
     return materialise_pair(terms, world.window) if highlight else terms()
 
@@ -178,7 +184,6 @@ def next_path(
     world: World,
     path: Path,
     surface: Surface,
-    material: Material,
     needs: Needs,
     choice: Index,
 ) -> Path:
@@ -186,7 +191,7 @@ def next_path(
 
     The ray straight on skips the object (a bubble without refraction); see `nearest`.
     """
-    kgr, kt = material.kgr, material.kt
+    kgr, kt = world.material(path.hit.id, lambda m: (m.kgr, m.kt))
     if not needs.transmission:
         straight, weight = None, kgr
     elif not needs.reflection:

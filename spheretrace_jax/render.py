@@ -13,7 +13,7 @@ from .layers import layered
 from .needs import Needs
 from .options import Options, options
 from .paths import radiance
-from .phases import STRIP_PIXELS, fill
+from .phases import STRIP_PIXELS, fill, retrace
 from .scene import Scene
 from .varying import pixel_beams
 from .vec import Vec, zeros
@@ -172,7 +172,7 @@ def _sample(
     rows = -(-height // strips)
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
-    @jax.checkpoint
+    @retrace
     def trace(first_row: Int[Array, ""]) -> tuple[Vec, Mask]:
         columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
         lines = top + first_row.astype(dtype) + lines

@@ -14,7 +14,7 @@ from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
 from .intersect import ray_plane, ray_sphere
 from .needs import Needs
-from .phases import fetch, materialise, over
+from .phases import fetch, materialise, over, remember
 from .vec import Vec, cross, dot
 from .world import Ball, Flat, Hit, World
 
@@ -63,7 +63,8 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
             best = over(world.planes, plane, best)
         return best[1].astype(world.id_type)
 
-    return hit_of(world, ray, materialise(phase, world.window), needs, leaving)
+    number = remember(materialise(phase, world.window))
+    return hit_of(world, ray, number, needs, leaving)
 
 
 def hit_of(world: World, ray: Ray, number: Ids, needs: Needs, leaving: Hit | None = None) -> Hit:
@@ -133,14 +134,11 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
         sides = dot(point - flat.point, flat.normal) * dot(light - flat.point, flat.normal)
         return blocked | (sides < 0) & (hit.id != i + world.spheres)
 
-    def phase():
-        blocked = jnp.full(square.shape, False)
-        blocked = over(world.spheres, behind_sphere, blocked)
-        if needs.planes:
-            blocked = over(world.planes, behind_plane, blocked)
-        return ~blocked
-
-    return materialise(phase, world.window)
+    blocked = jnp.full(square.shape, False)
+    blocked = over(world.spheres, behind_sphere, blocked)
+    if needs.planes:
+        blocked = over(world.planes, behind_plane, blocked)
+    return ~blocked
 
 
 def near_one(world: World, light: Vec) -> Scalar:

@@ -3,6 +3,7 @@
 The back plane is a plane like the others here, derived from the camera.
 """
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import equinox as eqx
@@ -111,11 +112,11 @@ class World(eqx.Module):
         """Where the spheres of these numbers are; others' are some sphere's."""
         return fetch(self.balls, ids) if self.own is None else fetch_own(self.own.balls, ids)
 
-    def material(self, ids: Ids) -> Material:
-        """What the objects of these numbers are made of."""
+    def material(self, ids: Ids, part: Callable[[Material], T]) -> T:
+        """A part of what the objects of these numbers are made of."""
         if self.own is None:
-            return fetch(self.materials, ids)
-        return fetch_own(self.own.materials, ids)
+            return fetch(part(self.materials), ids)
+        return fetch_own(part(self.own.materials), ids)
 
     def flat(self, ids: Ids) -> Flat:
         """Where the planes of these numbers are."""

@@ -25,7 +25,7 @@ from ..render import rays_through
 from ..scene import Scene
 from ..vec import vec
 from ..visibility import nearest
-from ..world import build_world, surface_at
+from ..world import build_world
 from .bounded import BoundedLevenbergMarquardt
 from .parameters import Parameters
 from .target import Target
@@ -144,11 +144,9 @@ def terms_at(look: Look, positions: Float[Array, "lights 3"]) -> Terms:
     world, half = build_world(scene), jnp.asarray(0.5, scene.dtype)
     ray = rays_through(scene, options, look.pixels, half, half)
     hit = nearest(world, ray, options.needs)
-    surface = surface_at(world, ray, hit, options.needs)
-    material = world.material(hit.id)
 
     def one(light: Float[Array, " 3"]) -> Float[Array, "2 pixels"]:
-        return jnp.stack(light_terms_at(world, ray, hit, surface, material, vec(light), options))
+        return jnp.stack(light_terms_at(world, ray, hit, vec(light), options))
 
     return lax.map(one, positions)
 
