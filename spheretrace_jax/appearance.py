@@ -1,6 +1,8 @@
 """What colour a point of an object has: the lecture's formula, its texture, the background."""
 
 from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
 
 import jax.numpy as jnp
 from jax import lax
@@ -10,31 +12,43 @@ from .needs import Needs
 from .phases import UNROLL
 from .scene import Scene
 from .texture import lookup, other_square, sphere_uv, worn
-from .vec import Vec, vec, where, zeros
+from .vec import Vec, grey, vec, where
 from .world import Hit, Surface, World
+
+T = TypeVar("T", Vec, Plane)
 
 
 def light_sums(
-    scene: Scene, shape: tuple[int, ...], terms: Callable[[Vec], tuple[Plane, Plane]]
+    scene: Scene,
+    shape: tuple[int, ...],
+    needs: Needs,
+    terms: Callable[[Vec, bool], tuple[Plane, Plane]],
 ) -> tuple[Vec, Vec]:
     """Over all lights the sums of C_l lit_l (N.L_l) and of C_l lit_l highlight_l.
 
-    **Arguments:** `terms`: lit N.L and lit highlight for a light at a given position, of `shape`.
+    **Arguments:** `terms`: lit N.L and lit highlight of `shape` for a light at a given position,
+    where objects may stand in its way or not.
     """
     lights = scene.lights
+    # of white light one sum does for red, green and blue
+    color_of = vec if needs.tinted else lambda color: color[0]
+    dark = jnp.zeros(shape, scene.dtype)
+    dark = grey(dark) if needs.tinted else dark
 
-    def add_light(sums: tuple[Vec, Vec], light: tuple) -> tuple[tuple[Vec, Vec], None]:
-        diffuse, shine = terms(vec(light[0]))
-        light_color = vec(light[1])
-        return (sums[0] + light_color * diffuse, sums[1] + light_color * shine), None
+    def add_light(sums: tuple[T, T], light: tuple, shadows: bool) -> tuple[tuple[T, T], None]:
+        diffuse, shine = terms(vec(light[0]), shadows)
+        color = color_of(light[1])
+        return (sums[0] + color * diffuse, sums[1] + color * shine), None
 
-    black = zeros(shape, scene.dtype)
-    sums = black, black
+    sums = dark, dark
     if len(lights) > UNROLL // 4:
-        return lax.scan(add_light, sums, (lights.position, lights.color))[0]
-    for i in range(len(lights)):
-        sums, _ = add_light(sums, (lights.position[i], lights.color[i]))
-    return sums
+        add = partial(add_light, shadows=needs.shadows)
+        sums, _ = lax.scan(add, sums, (lights.position, lights.color))
+    else:
+        for i in range(len(lights)):
+            shadows = needs.shadows and i not in needs.clear
+            sums, _ = add_light(sums, (lights.position[i], lights.color[i]), shadows)
+    return sums if needs.tinted else (grey(sums[0]), grey(sums[1]))
 
 
 def local_color(

@@ -77,13 +77,17 @@ def near_edge(
     """
     needs = options.needs
     world, lights, ray, cone, hit = jax.lax.stop_gradient((world, lights, ray, cone, hit))
-    surface = surface_at(world, ray, hit, needs)
     hits = hit.id >= 0
-    t = jnp.where(hits, dot(surface.point - ray.origin, ray.direction), jnp.inf)
-    width = cone.at(jnp.where(hits, t, 0))
-    footprint = width / jnp.maximum(surface.facing, _LEAST_FACING)
+
+    def met() -> tuple[Surface, Plane, Plane, Plane]:
+        """What is hit and how far away, how wide the pixel is there, and on the surface."""
+        surface = surface_at(world, ray, hit, needs)
+        t = jnp.where(hits, dot(surface.point - ray.origin, ray.direction), jnp.inf)
+        width = cone.at(jnp.where(hits, t, 0))
+        return surface, t, width, width / jnp.maximum(surface.facing, _LEAST_FACING)
 
     def outline() -> Mask:
+        _, t, width, footprint = met()
         rim = lambda i, edge: edge | _rim(world, i, ray, cone, hit, t, leaving)
         edge = over(world.spheres, rim, jnp.full(t.shape, False))
         if needs.planes:
@@ -102,8 +106,13 @@ def near_edge(
         return edge
 
     def light_edge(k: Index, edge: Mask) -> Mask:
-        light = vec(lights[k])
-        phase = lambda: _edge_of_light(world, ray, footprint, hit, surface, light, options)
+        shadows = needs.shadows and not (isinstance(k, int) and k in needs.clear)
+
+        def phase() -> Mask:
+            surface, _, _, footprint = met()
+            light = vec(lights[k])
+            return _edge_of_light(world, ray, footprint, hit, surface, light, shadows, options)
+
         return edge | hits & materialise(phase, world.window)
 
     return over(len(lights), light_edge, edge)
@@ -162,11 +171,13 @@ def _edge_of_light(
     hit: Hit,
     surface: Surface,
     light: Vec,
+    shadows: bool,
     options: Options,
 ) -> Mask:
     """Where a light's shadow ends, or its highlight where N.L = 0 cuts it off.
 
-    **Arguments:** `width`: of the pixel on the surface.
+    **Arguments:** `width`: of the pixel on the surface. `shadows`: whether objects may stand in
+    the light's way.
     """
     needs = options.needs
     scale = near_one(world, light)
@@ -189,7 +200,7 @@ def _edge_of_light(
         return edge | near & (hit.id != i + world.spheres)
 
     edge = jnp.full(cosine.shape, False)
-    if needs.shadows:
+    if shadows:
         edge = over(world.spheres, shadow, edge)
         if needs.planes:
             edge = over(world.planes, foot, edge)

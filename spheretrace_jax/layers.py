@@ -8,6 +8,7 @@ second one is point-sampled.
 """
 
 import dataclasses
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -105,8 +106,8 @@ def layer_color(
     needs, ray = options.needs, beam.value
     mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
     surface = mean_surface(ray)
-    terms = lambda light: _terms(world, beam, reach, hit, surface, light, visible, options)
-    sums = light_sums(scene, hit.id.shape, terms)
+    terms = partial(_terms, world, beam, reach, hit, surface, visible, options)
+    sums = light_sums(scene, hit.id.shape, needs, terms)
     color = local_color(scene, world, hit, surface, needs, sums)
     if not options.bounces:
         return color
@@ -141,19 +142,22 @@ def _terms(
     reach: Plane,
     hit: Hit,
     surface: Surface,
-    light: Vec,
     visible: tuple[HalfPlane, ...],
     options: Options,
+    light: Vec,
+    shadows: bool,
 ) -> tuple[Plane, Plane]:
     """N.L and the highlight of one light, each over the part of what is visible that it reaches.
 
     The highlight ends abruptly where N.L = 0, which is an edge too.
+
+    **Arguments:** `shadows`: whether objects may stand in the light's way.
     """
     needs, ray = options.needs, beam.value
     to_light = toward_light(surface, light)
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
-    if needs.shadows:
+    if shadows:
         part = part * unoccluded_part(world, beam, reach, visible, hit, light, needs)
     diffuse = _mean_lambert(world, ray, hit, reach, cosine, to_light) * part
     if not needs.highlights:

@@ -12,11 +12,9 @@ import jax
 import jax.core
 import numpy as np
 
+from . import possible
 from .errors import InputError
 from .scene import Camera, Lights, Planes, Scene, Spheres
-
-# Of more spheres than these, whether any two cut one another is not looked up pair by pair.
-_MANY = 2000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +33,10 @@ class Needs:
     checkers: bool = True  #: some plane has a checker
     background: bool = True  #: the background is not black
     crossings: bool = True  #: objects may cut one another (an edge, where edges are covered)
+    tinted: bool = True  #: some light's red, green and blue differ
+    colors: bool = True  #: anything's red, green and blue differ
+    clear: tuple[int, ...] = ()  #: the lights whose way to every object is free: no shadow pass
+    depth: int | None = None  #: after how many bounces no ray meets anything; None: no limit
 
     @property
     def bounces(self) -> bool:
@@ -71,24 +73,38 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         return np.full(value.shape, True) if name in free else value != 0
 
     kgr, kt = some("kgr"), some("kt")
-    objects = scene.objects
+    objects, lights = scene.objects, len(scene.lights)
     moving = free & {"center", "radius", "theta", "phi", "mu"}
-    inside = bool(kt.any() or (len(spheres) and (moving or _eye_is_inside(scene))))
+    inside = bool(kt.any() or (len(spheres) and (moving or possible.eye_inside(scene))))
+    moves = inside or free & {"center", "radius", "light_position"}
+    clear = () if moves else possible.unblocked(scene)
+    background = bool(
+        scene.sky is not None or "background" in free or np.asarray(scene.background).any()
+    )
+    textures, checkers = any(spheres.pic), bool(np.asarray(planes.checker_size).any())
+    tinted = "light_color" in free or possible.differ(scene.lights.color)
+    back = () if scene.back_plane is None else (scene.back_plane.color,)
+    plain = (spheres.color, planes.color, planes.checker_color, scene.background, *back)
+    pictures = textures or scene.sky is not None
+    colors = pictures or free & {"color", "checker_color", "background"} or possible.differ(*plain)
     return Needs(
-        shadows=len(scene.lights) > 0 and (objects > 1 or inside),
-        highlights=len(scene.lights) > 0 and bool(some("ks").any()),
+        shadows=lights > len(clear) and (objects > 1 or inside),
+        highlights=lights > 0 and bool(some("ks").any()),
         inside=inside,
         reflection=bool(kgr.any()),
         transmission=bool(kt.any()),
         branching=bool((kgr[: len(kt)] & kt).any()),
         dark_paths=bool(free & {"kgr", "kt"}),
-        textures=any(spheres.pic),
+        textures=textures,
         planes=objects > len(spheres),
-        checkers=bool((np.asarray(planes.checker_size) != 0).any()),
-        background=scene.sky is not None
-        or "background" in free
-        or bool((np.asarray(scene.background) != 0).any()),
-        crossings=bool(scene.antialias) and (bool(moving) or _some_cross(scene)),
+        checkers=checkers,
+        background=background,
+        crossings=bool(scene.antialias) and (bool(moving) or possible.some_cross(scene)),
+        tinted=tinted,
+        colors=tinted or bool(colors),
+        clear=clear if len(clear) < lights else (),
+        # the only object is convex: what it mirrors is the sky
+        depth=None if objects > 1 or inside else int(background),
     )
 
 
@@ -104,47 +120,23 @@ def _names(free: Iterable[str]) -> frozenset[str]:
     return names
 
 
-def _eye_is_inside(scene: Scene) -> bool:
-    """Whether the eye is inside a sphere or on it, or so near that rounding may decide."""
-    theta, phi, mu = (
-        np.float64(x) for x in (scene.camera.theta, scene.camera.phi, scene.camera.mu)
-    )
-    eye = mu * np.array([np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), np.cos(phi)])
-    center = np.asarray(scene.spheres.center, np.float64)
-    radius = np.asarray(scene.spheres.radius, np.float64)
-    slack = 8 * np.finfo(scene.dtype).eps * (np.linalg.norm(center, axis=1) + mu + radius)
-    return bool((np.linalg.norm(center - eye, axis=1) <= radius + slack).any())
-
-
-def _some_cross(scene: Scene) -> bool:
-    """Whether any two objects cut one another. Of very many objects it is taken for granted."""
-    center = np.asarray(scene.spheres.center, np.float64)
-    radius = np.asarray(scene.spheres.radius, np.float64)
-    planes = len(scene.planes) + (scene.back_plane is not None)
-    if planes > 1 or len(radius) > _MANY or scene.back_plane is not None:
-        return True
-    for point, normal in zip(scene.planes.point, scene.planes.normal, strict=True):
-        normal = np.asarray(normal, np.float64) / np.linalg.norm(normal)
-        if (np.abs((center - np.asarray(point)) @ normal) <= radius).any():
-            return True
-    apart = np.linalg.norm(center[:, None] - center[None], axis=-1)
-    sum_, difference = radius[:, None] + radius[None], np.abs(radius[:, None] - radius[None])
-    cut = (apart <= sum_) & (apart >= difference)
-    return bool(cut[~np.eye(len(radius), dtype=bool)].any())
-
-
 def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
     """Each feature, whether `scene` needs it, and why (or why not): what `info` prints."""
     n = needs(scene)
     lit = len(scene.lights) > 0
+    clear = ", ".join(str(k + 1) for k in n.clear)
     table = {
         "shadows": (
-            "an object may stand between another and a light",
+            "an object may stand between another and a light"
+            + (f"; not for light {clear}, whose way is free" if clear else ""),
             "nothing can stand between an object and a light" if lit else "no lights",
         ),
         "highlights": ("some ks > 0", "every ks is 0" if lit else "no lights"),
         "inside": ("the eye is in a sphere, or light passes one", "no ray starts inside a sphere"),
-        "reflection": ("some kgr > 0", "every kgr is 0"),
+        "reflection": (
+            "some kgr > 0" + ("" if n.depth is None else "; the only object mirrors no other"),
+            "every kgr is 0",
+        ),
         "transmission": ("some kt > 0", "every kt is 0"),
         "branching": ("an object has both kgr and kt", "no object has both kgr and kt"),
         "textures": ("some pic > 0", "every pic is 0"),
@@ -156,6 +148,8 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
             "objects may cut one another",
             "no object cuts another, or no edge is covered",
         ),
+        "tinted": ("a light is coloured", "every light is white or grey"),
+        "colors": ("something is coloured", "everything is white or grey: one channel"),
     }
     found = dataclasses.asdict(n) | {"antialias": bool(scene.antialias)}
     return [(name, found[name], why[not found[name]]) for name, why in table.items()]

@@ -43,6 +43,8 @@ def options(
         raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
     needs = needs_of(scene) if needs is None else needs
     bounces = bounces if needs.bounces else 0
+    if needs.depth is not None:
+        bounces = min(bounces, needs.depth)
     if needs.branching and bounces > MOST_BRANCHINGS:
         raise InputError(
             "where an object both reflects and transmits, n bounces follow 2^n paths: "

@@ -5,6 +5,8 @@ which lights reach it; the smooth one evaluates the lecture's formulas with thos
 is what jax differentiates.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,7 @@ from .options import Options
 from .phases import materialise, materialise_pair, remember
 from .scene import Scene
 from .shading import light_terms
-from .vec import Vec, reflect, where, zeros
+from .vec import Vec, grey, reflect, where, zeros
 from .visibility import nearest, unoccluded
 from .world import Hit, Surface, World, surface_at
 
@@ -138,8 +140,8 @@ def shade(
     **Arguments:** `choice`: where an object both reflects and transmits, 0 to reflect.
     """
     needs, ray, hit = options.needs, path.ray, path.hit
-    terms = lambda light: light_terms_at(world, ray, hit, light, options)
-    sums = light_sums(scene, hit.id.shape, terms)
+    terms = partial(light_terms_at, world, ray, hit, options)
+    sums = light_sums(scene, hit.id.shape, needs, terms)
 
     def color() -> Vec:
         surface = surface_at(world, ray, hit, needs)
@@ -150,7 +152,10 @@ def shade(
             seen = seen & (hit.id >= 0)
         return where(seen, color * path.weight, zeros(path.weight.shape, scene.dtype))
 
-    color_ = materialise(color, world.window)
+    if needs.colors:
+        color_ = materialise(color, world.window)
+    else:
+        color_ = grey(materialise(lambda: color().x, world.window))
     if not needs.bounces:
         return color_, path
     surface = surface_at(world, ray, hit, needs)
@@ -158,13 +163,16 @@ def shade(
 
 
 def light_terms_at(
-    world: World, ray: Ray, hit: Hit, light: Vec, options: Options
+    world: World, ray: Ray, hit: Hit, options: Options, light: Vec, shadows: bool
 ) -> tuple[Plane, Plane]:
-    """N.L and the highlight of one light where rays meet objects, 0 where it does not reach."""
+    """N.L and the highlight of one light where rays meet objects, 0 where it does not reach.
+
+    **Arguments:** `shadows`: whether objects may stand in its way.
+    """
     needs = options.needs
     highlight = options.highlight if needs.highlights else None
     lit = hit.id >= 0
-    if needs.shadows:
+    if shadows:
 
         def sees_light() -> Mask:
             point = surface_at(world, ray, hit, needs).point

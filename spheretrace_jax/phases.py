@@ -20,6 +20,11 @@ T = TypeVar("T")
 # Loops over at most this many objects are written out: XLA then keeps the whole loop in registers.
 UNROLL = 16
 
+# For at most this many pixels rows of short tables are fetched one by one, too: selects are faster
+# for many, but there are a dozen of them for each number, and compile time grows with them (that
+# of covered edges from 0 to 0 s).
+MOST_GATHERED = 1 << 12
+
 # In a strip of this many pixels the temporaries stay below 32 MB, above which the allocator maps
 # and unmaps memory at every call (20.7 against 11.8 ms); much smaller strips lose to overheads.
 STRIP_PIXELS = 1 << 17
@@ -113,7 +118,7 @@ def fetch(table: T, ids: Ids) -> T:
 
 @jax.custom_jvp
 def _fetch(columns: list[Float[Array, " objects"]], ids: Ids) -> list[Plane]:
-    if columns[0].shape[0] <= UNROLL:
+    if columns[0].shape[0] <= UNROLL and ids.size > MOST_GATHERED:
         return [_select(list(column), ids) for column in columns]
     row = _within(ids, columns[0].shape[0])
     return [column.at[row].get(mode="promise_in_bounds") for column in columns]

@@ -16,7 +16,7 @@ from .paths import radiance
 from .phases import STRIP_PIXELS, fill, retrace
 from .scene import Scene
 from .varying import pixel_beams
-from .vec import Vec, zeros
+from .vec import Vec, grey, zeros
 from .world import World, build_world
 
 # Pixels with edges are composed this many at a time, as few as keeps the overhead small.
@@ -171,9 +171,11 @@ def _sample(
     strips = -(-width * height // STRIP_PIXELS)
     rows = -(-height // strips)
 
+    colors = options.needs.colors
+
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @retrace
-    def trace(first_row: Int[Array, ""]) -> tuple[Vec, Mask]:
+    def trace(first_row: Int[Array, ""]) -> tuple[Vec | Plane, Mask]:
         columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
         lines = top + first_row.astype(dtype) + lines
         ray = pixel_rays(scene.camera, (left + columns)[None, :], lines[:, None], (width, height))
@@ -181,11 +183,13 @@ def _sample(
         if options.antialias:
             side = scene.camera.window / (height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
-        return radiance(scene, world, ray, options, cone=cone)
+        color, edge = radiance(scene, world, ray, options, cone=cone)
+        return color if colors else color.x, edge
 
     first_rows = jnp.arange(0, height, rows, dtype=jnp.int32)
     whole = lambda x: x.reshape(-1, width)[:height]
     color, edge = jax.tree.map(whole, lax.map(trace, first_rows))
+    color = color if colors else grey(color)
     if not options.antialias:
         return color, edge
 

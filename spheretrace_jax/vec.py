@@ -55,6 +55,11 @@ def zeros(shape: tuple[int, ...], dtype: DTypeLike) -> Vec:
     return Vec(zero, zero, zero)
 
 
+def grey(value: Plane) -> Vec:
+    """The colour whose red, green and blue are one number."""
+    return Vec(value, value, value)
+
+
 def dot(a: Vec, b: Vec) -> Plane:
     return a.x * b.x + a.y * b.y + a.z * b.z
 

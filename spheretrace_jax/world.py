@@ -112,6 +112,14 @@ class World(eqx.Module):
         """Where the spheres of these numbers are; others' are some sphere's."""
         return fetch(self.balls, ids) if self.own is None else fetch_own(self.own.balls, ids)
 
+    def curvature(self, ids: Ids) -> Plane:
+        """1/R of the spheres of these numbers; divided per sphere, which is seldom per pixel."""
+        if self.own is None:
+            radius = self.balls.radius
+            return fetch(1 / jnp.where(radius > 0, radius, 1), ids)
+        radius = fetch_own(self.own.balls.radius, ids)
+        return 1 / jnp.where(radius > 0, radius, 1)
+
     def material(self, ids: Ids, part: Callable[[Material], T]) -> T:
         """A part of what the objects of these numbers are made of."""
         if self.own is None:
@@ -182,7 +190,7 @@ def surface_at(
         half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
     else:
         half_chord, q = mean_chord(q, ball.radius, reach)
-    per_radius = 1 / jnp.where(ball.radius > 0, ball.radius, 1)
+    per_radius = world.curvature(hit.id)
     facing = half_chord * per_radius
     if needs.inside:
         half_chord = jnp.where(hit.inside, -half_chord, half_chord)

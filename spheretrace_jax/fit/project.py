@@ -146,7 +146,8 @@ def terms_at(look: Look, positions: Float[Array, "lights 3"]) -> Terms:
     hit = nearest(world, ray, options.needs)
 
     def one(light: Float[Array, " 3"]) -> Float[Array, "2 pixels"]:
-        return jnp.stack(light_terms_at(world, ray, hit, vec(light), options))
+        shadows = options.needs.shadows
+        return jnp.stack(light_terms_at(world, ray, hit, options, vec(light), shadows))
 
     return lax.map(one, positions)
 
