@@ -17,7 +17,7 @@ test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
 bench: $(READY)
-	$(BIN)/python tests/bench/picture.py
+	$(BIN)/python tests/bench/speed.py
 
 # pictures, derivatives and cost of covered edges; about twenty minutes
 bench-edges: $(READY)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
@@ -14,8 +14,6 @@ from .scene import Scene
 from .texture import lookup, other_square, sphere_uv, worn
 from .vec import Vec, grey, vec, where
 from .world import Hit, Surface, World
-
-T = TypeVar("T", Vec, Plane)
 
 
 def light_sums(
@@ -35,12 +33,12 @@ def light_sums(
     dark = jnp.zeros(shape, scene.dtype)
     dark = grey(dark) if needs.tinted else dark
 
-    def add_light(sums: tuple[T, T], light: tuple, shadows: bool) -> tuple[tuple[T, T], None]:
+    def add_light(sums: tuple[Any, Any], light: tuple, shadows: bool) -> tuple[tuple, None]:
         diffuse, shine = terms(vec(light[0]), shadows)
         color = color_of(light[1])
         return (sums[0] + color * diffuse, sums[1] + color * shine), None
 
-    sums = dark, dark
+    sums: tuple[Any, Any] = (dark, dark)
     if len(lights) > UNROLL // 4:
         add = partial(add_light, shadows=needs.shadows)
         sums, _ = lax.scan(add, sums, (lights.position, lights.color))

@@ -76,4 +76,5 @@ def differ(*colors: object) -> bool:
 
 def _balls(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Centres and radii in float64."""
-    return tuple(np.asarray(x, np.float64) for x in (scene.spheres.center, scene.spheres.radius))
+    spheres = scene.spheres
+    return np.asarray(spheres.center, np.float64), np.asarray(spheres.radius, np.float64)

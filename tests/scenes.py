@@ -1,5 +1,6 @@
 """Scenes that several tests share, each small and with one feature in its name."""
 
+import dataclasses
 from pathlib import Path
 
 import equinox as eqx
@@ -25,6 +26,10 @@ def _spheres(**changes) -> st.Spheres:
     )
     return st.Spheres(**(parts | changes))
 
+
+_EMPTY = st.Scene(st.Spheres(np.zeros((0, 3)), np.zeros(0)), st.Lights(np.zeros((0, 3))))
+#: What coloured objects in ambient light need.
+FLAT = dataclasses.replace(st.needs(_EMPTY), colors=True, depth=None)
 
 WHITE = [[300.0, 350, 400]]
 TWO_LIGHTS = st.Lights([[300.0, 350, 400], [-250, 100, 300]], [[0.5, 0.6, 0.3], [0.4, 0.2, 0.5]])

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from bench.edges import PARAMETERS, blurred, derivative, difference, off
 from jaxtyping import Array, Float
-from scenes import SCENES, WHITE, nine_spheres, three_spheres
+from scenes import FLAT, SCENES, WHITE, nine_spheres, three_spheres
 
 import spheretrace_jax as st
 
 # ambient light alone: what is seen are silhouettes
-FLAT = st.Needs(**{f.name: False for f in dataclasses.fields(st.Needs)})
 CUT = dataclasses.replace(FLAT, crossings=True)
 SIZE = dict(width=48, height=48, bounces=0)
 TINY = dict(width=9, height=9, bounces=0)

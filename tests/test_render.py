@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import CAMERA, SCENES, WHITE, nine_spheres
+from scenes import CAMERA, FLAT, SCENES, WHITE, nine_spheres
 
 import spheretrace_jax as st
 
@@ -68,11 +68,10 @@ def test_an_empty_world_shows_its_background():
 
 
 def test_the_nine_spheres_cast_shadows_only_when_the_light_is_moved():
-    lean = st.Needs(*[False] * 12)
     for light, shadows in (((100.0, 500, 800), False), ((100.0, 900, 300), True)):
         scene = nine_spheres(light)
         with_shadows = st.render(scene, bounces=0, width=64, height=64)
-        without = dataclasses.replace(lean, highlights=True)
+        without = dataclasses.replace(FLAT, highlights=True)
         picture = st.render(scene, needs=without, width=64, height=64)
         assert bool(jnp.any(picture != with_shadows)) is shadows
 

@@ -18,13 +18,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from peers import LIGHT, mitsuba_scene
 
 import spheretrace_jax as st
-from spheretrace_jax.camera import view_frame
 from spheretrace_jax.demo import wrong_start
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
-SIZE, LIGHT = 256, "light.position"
+SIZE = 256
 Curve = list[tuple[float, float, float]]  # seconds, error of the light, error of the colours
 
 
@@ -79,33 +79,10 @@ def our_fit(dtype: str, seconds: float) -> Curve:  # ends by itself, whatever th
     return curve
 
 
-def mitsuba_scene(mi: Any, scene: st.Scene) -> Any:
-    """As bright as ours in the world's middle: the light makes up for 1/r^2 and Lambert's 1/pi."""
-    frame, (light, *colors) = view_frame(scene.camera), fitted(scene)
-    eye, up, forward = (np.array([v.x, v.y, v.z]) for v in (frame.eye, frame.up, frame.forward))
-    rgb = lambda color: {"type": "rgb", "value": list(map(float, color))}
-    intensity = rgb([np.pi * light @ light] * 3)
-    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
-    fov = float(np.degrees(2 * np.arctan(scene.camera.window / 2 / scene.camera.distance)))
-    view = mi.ScalarTransform4f().look_at(origin=eye, target=eye + forward, up=up)
-    world = {
-        "type": "scene",
-        "sensor": {"type": "perspective", "fov": fov, "to_world": view, "film": film},
-        "light": {"type": "point", "position": light.tolist(), "intensity": intensity},
-        # samples of surfaces never meet the light; `prb` takes twice the time, and the light stays
-        "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
-    }
-    for i, color in enumerate(colors):
-        center, radius = scene.spheres.center[i].tolist(), float(scene.spheres.radius[i])
-        bsdf = {"type": "diffuse", "reflectance": rgb(color)}
-        world[f"ball{i}"] = {"type": "sphere", "center": center, "radius": radius, "bsdf": bsdf}
-    return mi.load_dict(world)
-
-
 def mitsuba_fit(mi: Any, dr: Any, recipe: Recipe, seconds: float) -> Curve:
     """One sample per pixel, always the target's: without noise Adam comes nearest."""
     start, truth = start_and_truth("float64")  # Mitsuba rounds to float32
-    scene, values = mitsuba_scene(mi, truth), fitted(start)
+    scene, values = mitsuba_scene(mi, truth, SIZE), fitted(start)
     target, parameters = mi.render(scene, spp=1, seed=0), mi.traverse(scene)
     names = [LIGHT, *(f"ball{i}.bsdf.reflectance.value" for i in range(len(values) - 1))]
     adam = mi.ad.Adam(lr=recipe.color_rate, beta_2=recipe.beta_2)
@@ -143,7 +120,7 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore", st.SceneWarning)
     truth = start_and_truth("float64")[1]
-    ours, theirs = picture(truth), np.asarray(mi.render(mitsuba_scene(mi, truth), spp=16))
+    ours, theirs = picture(truth), np.asarray(mi.render(mitsuba_scene(mi, truth, SIZE), spp=16))
     apart = np.abs(ours - theirs).mean()
     print(f"pictures of the truth: means {ours.mean():.4f}, {theirs.mean():.4f}; {apart:.4f} apart")
     fits: dict[str, Callable] = {f"ours {d}": partial(our_fit, d) for d in ("float64", "float32")}
