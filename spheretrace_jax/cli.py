@@ -168,6 +168,7 @@ class Info:
         from rich.table import Table
 
         from . import load_scene
+        from .cost import saved
         from .needs import left_out
 
         scene = load_scene(self.scene)
@@ -200,9 +201,12 @@ class Info:
         console.print(table)
         if len(s) > shown:
             console.print(f"and {len(s) - shown} more spheres")
-        table = Table("feature", "computed", "why", box=SIMPLE_HEAD)
+        with console.status("counting operations"):
+            costs = saved(scene)
+        table = Table("feature", "computed", "would cost", "why", box=SIMPLE_HEAD)
         for name, needed, why in left_out(scene):
-            table.add_row(name, "yes" if needed else "left out", why)
+            cost = f"+{max(costs[name], 0):.0%}" if name in costs else ""
+            table.add_row(name, "yes" if needed else "left out", cost, why)
         console.print(table)
         return 0
 

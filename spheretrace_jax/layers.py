@@ -11,7 +11,6 @@ import dataclasses
 from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -26,7 +25,7 @@ from .outlines import crossing, outline_of
 from .paths import Path, next_path, radiance
 from .peel import MOST_LAYERS, peel
 from .penumbra import unoccluded_part
-from .phases import keep
+from .phases import keep, remember, retrace
 from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
@@ -51,10 +50,10 @@ def layered(
     pixels there are; others are 0. `leaving`: the hit that the rays start from, None for the eye.
     """
     needs, one = options.needs, jnp.ones(alive.shape, scene.dtype)
-    layers, shown = peel(world, beam, needs, alive, leaving)
+    layers, shown = remember(peel(world, beam, needs, alive, leaving))
     last = jnp.arange(len(shown)) == MOST_LAYERS - 1
 
-    @jax.checkpoint
+    @retrace
     def add(state: tuple, x: tuple) -> tuple:
         layer, shown, last = x
         only = lambda part: jnp.where(shown, part, 0)
@@ -133,7 +132,7 @@ def layer_color(
     if not needs.branching:
         return color + choose(0)
     add = lambda total, choice: (total + choose(choice), None)
-    return lax.scan(jax.checkpoint(add), color, jnp.arange(2, dtype=jnp.int32))[0]
+    return lax.scan(retrace(add), color, jnp.arange(2, dtype=jnp.int32))[0]
 
 
 def _terms(

@@ -14,7 +14,7 @@ from .coverage import disc_region
 from .halfplane import HalfPlane, common_area, everything, middle, positive
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fill, keep, over
+from .phases import fill, keep, over, remember
 from .varying import Varying
 from .vec import Vec, dot, norm, safe_sqrt, unit, where
 from .visibility import row
@@ -45,7 +45,7 @@ def unoccluded_part(
     the half-planes of the pixel in all of which the object shows.
     """
     place = middle(*visible[:2])
-    blocked, edges = _occluders(world, beam, reach, place, hit, light, needs)
+    blocked, edges = remember(_occluders(world, beam, reach, place, hit, light, needs))
 
     count, number = reach.size, jnp.concatenate(edges)
 

@@ -194,7 +194,7 @@ def _sample(
         return color, edge
 
     # nor what few of the chunks have
-    @jax.checkpoint
+    @retrace
     def compose(pixels: Int[Array, " n"], alive: Mask) -> Vec:
         return area_seen(scene, world, options, pixels, alive, left, top)
 

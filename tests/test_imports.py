@@ -16,8 +16,9 @@ FILES = {
 }
 
 CORE = """
-    _types appearance camera coverage edges errors halfplane intersect layers needs options outlines
-    paths peel penumbra phases possible render scene shading texture varying vec visibility world
+    _types appearance camera cost coverage edges errors halfplane intersect layers needs options
+    outlines paths peel penumbra phases possible render scene shading texture varying vec visibility
+    world
 """.split()
 OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")
