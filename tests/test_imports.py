@@ -134,7 +134,8 @@ def test_only_programs_import_the_whole_package():
 @pytest.mark.parametrize("module", FILES)
 def test_no_module_changes_jax_s_settings(module):
     calls = [ast.unparse(n.func) for n in ast.walk(tree(module)) if isinstance(n, ast.Call)]
-    assert not [name for name in calls if name.endswith("config.update")]
+    changes = [name for name in calls if name.endswith("config.update")]
+    assert not changes or module == f"{PACKAGE}.cli"  # which is a process of its own
     targets = [
         ast.unparse(target)
         for node in ast.walk(tree(module))
