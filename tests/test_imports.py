@@ -17,7 +17,7 @@ FILES = {
 
 CORE = """
     _types appearance camera coverage edges errors halfplane intersect layers needs options outlines
-    paths peel penumbra phases render scene shading texture varying vec visibility world
+    paths peel penumbra phases render scene shading sharding texture varying vec visibility world
 """.split()
 OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")
