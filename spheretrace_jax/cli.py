@@ -301,8 +301,8 @@ def main() -> None:
     double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, Convert)
     try:
         _check_counts(command)
-        if isinstance(command, Drawing) and command.cache is not None:
-            _keep_compiled(command.cache)
+        if (cache := getattr(command, "cache", None)) is not None:
+            _keep_compiled(cache)
         with jax.enable_x64(True) if double else nullcontext():
             status = command.run()
     except (InputError, OSError) as error:

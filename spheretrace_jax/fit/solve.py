@@ -163,10 +163,11 @@ def fit(
     - `throw`: raise an error if the solver does not converge.
     - `callback`: called with a `Progress` after each step.
     - `sharding`: how the pictures' rows lie on several devices, as for `render`: each device sums
-      up the normal equations of its own rows. Where devices are those of several processes, all of
-      these call `fit` with the same arguments. Of a target that lies on several processes (rows of
-      one picture, or pictures of a list that is one array of shape `(pictures, height, width, 3)`)
-      each may hold its own part (`jax.make_array_from_process_local_data`).
+      up the normal equations of its own rows, and what is found lies whole on all of them. Where
+      devices are those of several processes, all of these call `fit` with the same arguments. A
+      target, mask, weights or noise may be an array whose parts lie with several processes, such
+      as rows of one picture, or pictures of a list that is one array of shape `(pictures, height,
+      width, 3)` (`jax.make_array_from_process_local_data`): it is sent to all of them once.
 
     With several pictures `mask`, `weights` and `noise` are lists, or one value for all.
 
