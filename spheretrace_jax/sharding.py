@@ -27,7 +27,7 @@ class Rows(eqx.Module):
     """Those of a picture's rows that are computed together: all, or one device's own."""
 
     count: int = eqx.field(static=True)
-    axes: tuple[str, ...] = eqx.field(static=True, default=())  #: of the mesh that all lie on
+    axes: tuple[str, ...] = eqx.field(static=True, default=())  #: the mesh's, along which they lie
 
     @property
     def first(self) -> Index:

@@ -1,6 +1,7 @@
 """What `test_sharding.py` computes on one device, on several, and on those of several processes."""
 
 from collections.abc import Callable
+from typing import Any
 
 import conftest  # noqa: F401 (sets the precision)
 import equinox as eqx
@@ -14,7 +15,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 import spheretrace_jax as st
 from spheretrace_jax.fit.problem import make_problem, normal_at
 from spheretrace_jax.options import options
-from spheretrace_jax.render import averaged
+from spheretrace_jax.render import averaged, draw
 from spheretrace_jax.sharding import on_devices
 from spheretrace_jax.vec import Vec
 
@@ -39,6 +40,21 @@ def pictures(sharding: NamedSharding | None) -> Results:
     }
 
 
+def work(sharding: NamedSharding | None) -> Results:
+    """That a device's part of the operations, and of the memory, is that of its rows."""
+    scene = scenes.three_spheres()
+
+    def needed(sharding: NamedSharding | None) -> np.ndarray:
+        size = 8 * DEVICES
+        program = draw.lower(scene, options(scene, size, size, sharding=sharding)).compile()
+        compiled: Any = program.compiled
+        memory = compiled.memory_analysis().temp_size_in_bytes
+        return np.array([compiled.cost_analysis()["flops"], memory])
+
+    parts = needed(None) / needed(sharding)
+    return {"parts": np.round(parts if sharding is None else parts / DEVICES, 1)}
+
+
 def slopes(
     sharding: NamedSharding | None, scene: st.Scene | None = None, height: int = HEIGHT
 ) -> Results:
@@ -46,8 +62,8 @@ def slopes(
     scene = scenes.three_spheres() if scene is None else scene
     needs = st.needs(scene)
     weight = np.random.default_rng(0).normal(size=(height, WIDTH, 3))
-    draw = lambda s: st.render(s, width=WIDTH, height=height, needs=needs, sharding=sharding)
-    gradient = jax.jit(jax.grad(lambda s: jnp.sum(weight * draw(s))))(scene)
+    seen = lambda s: st.render(s, width=WIDTH, height=height, needs=needs, sharding=sharding)
+    gradient = jax.jit(jax.grad(lambda s: jnp.sum(weight * seen(s))))(scene)
     leaves = jax.tree_util.tree_leaves_with_path(gradient)
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
 
@@ -128,7 +144,7 @@ def edges(sharding: NamedSharding | None) -> Results:
 
 
 COMPUTED: dict[str, Callable[[NamedSharding | None], Results]] = {
-    f.__name__: f for f in (pictures, slopes, neighbours, fits, views, starts, edges)
+    f.__name__: f for f in (pictures, work, slopes, neighbours, fits, views, starts, edges)
 }
 
 

@@ -4,6 +4,7 @@ import os
 import socket
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -14,6 +15,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from scenes import three_spheres
 
 import spheretrace_jax as st
+
+module = sys.modules["spheretrace_jax.render"]
 
 PROGRAM = """
 import sys
@@ -70,9 +73,14 @@ def in_several_processes(names: str, folder: Path) -> list[dict[str, np.ndarray]
     return [dict(np.load(file)) for file in files]
 
 
+@cache
+def on_one_device(names: str) -> dict[str, np.ndarray]:
+    return sharded.computed(names, None)
+
+
 def same(found: dict[str, np.ndarray], names: str) -> None:
     """That what was found is what one device finds."""
-    one = sharded.computed(names, None)
+    one = on_one_device(names)
     assert found.keys() == one.keys()
     for key, value in one.items():
         size = 1 + np.abs(value).max(initial=0)
@@ -80,7 +88,7 @@ def same(found: dict[str, np.ndarray], names: str) -> None:
 
 
 def test_eight_devices(tmp_path):
-    names = "neighbours,pictures,slopes,fits"
+    names = "neighbours,pictures,work,slopes,fits"
     same(on_several_devices(names, tmp_path), names)
 
 
@@ -106,10 +114,16 @@ ROWS = NamedSharding(Mesh(jax.devices()[:1], "rows"), PartitionSpec("rows"))
 PICTURE = dict(width=8, height=6)
 
 
-def test_one_device_is_several_devices_too():
-    scene = three_spheres()
-    found = st.render(scene, **PICTURE, sharding=ROWS)
-    np.testing.assert_array_equal(found, st.render(scene, **PICTURE))
+def test_one_device_is_several_devices_too_and_compiles_once(monkeypatch):
+    traced = []
+    inner = module.build_world
+    monkeypatch.setattr(module, "build_world", lambda scene: traced.append(1) or inner(scene))
+    scene = three_spheres().astype(np.float32)
+    for factor in (0.9, 1.0):
+        changed = jax.tree.map(lambda leaf, f=factor: leaf * f, scene)
+        found = st.render(changed, **PICTURE, sharding=NamedSharding(ROWS.mesh, ROWS.spec))
+    assert len(traced) == 1 and found.dtype == np.float32
+    np.testing.assert_allclose(found, st.render(scene, **PICTURE), atol=1e-6)
 
 
 @pytest.mark.parametrize(
