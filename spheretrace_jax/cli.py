@@ -4,13 +4,14 @@ Errors that a user can cause are one line and exit status 2; a fit that did not 
 with 1, an interrupted one with 130.
 """
 
+import os
 import re
 import sys
 import time
 import warnings
 from collections.abc import Sized
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -32,7 +33,17 @@ SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file
 
 
 @dataclass
-class Render:
+class Drawing:
+    """What all commands that draw pictures, and so compile programs, have in common."""
+
+    cache: Annotated[
+        Path | None,
+        arg(metavar="DIR", help="keep compiled programs in this folder, and take them from there"),
+    ] = field(default=None, kw_only=True)
+
+
+@dataclass
+class Render(Drawing):
     """Draw a scene to a picture file.
 
     The ending of IMAGE chooses the format: exr and hdr hold linear numbers, unclamped; png, ppm,
@@ -75,7 +86,7 @@ class Render:
 
 
 @dataclass
-class FitCommand:
+class FitCommand(Drawing):
     """Find the scene that looks like a picture, starting from SCENE.
 
     SCENE holds what is known (geometry, camera) and the first guess of what is free. Writes the
@@ -237,7 +248,7 @@ class Convert:
 
 
 @dataclass
-class Demo:
+class Demo(Drawing):
     """Fit the nine-sphere scene to a picture that POV-Ray rendered, from a wrong start.
 
     All colours, ka, kd, ks and the light's position start wrong and are recovered.
@@ -294,6 +305,8 @@ def main() -> None:
     double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, Convert)
     try:
         _check_counts(command)
+        if (cache := getattr(command, "cache", None)) is not None:
+            _keep_compiled(cache)
         with jax.enable_x64(True) if double else nullcontext():
             status = command.run()
     except (InputError, OSError) as error:
@@ -339,6 +352,20 @@ def _check_folder(folder: Path | None) -> None:
     """Says early that there is a file where a folder is to be."""
     if folder is not None and folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder to write to, this is a file")
+
+
+def _keep_compiled(folder: Path) -> None:
+    """Has JAX keep in a folder what it compiles, in this process."""
+    import jax
+
+    _check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: this folder cannot be written to")
+    jax.config.update("jax_compilation_cache_dir", str(folder.resolve()))
+    # every program: by itself JAX keeps none that took less than a second, as most of ours do
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def _short(value) -> str:

@@ -1,12 +1,16 @@
 """`Options`: what is static about a picture besides its scene, checked."""
 
+import dataclasses
+
 import equinox as eqx
+from jax.sharding import NamedSharding
 
 from ._types import Highlight
 from .errors import InputError
 from .needs import Needs, needs as needs_of
 from .scene import Scene
 from .shading import HIGHLIGHTS
+from .sharding import Rows, rows_of_device, rows_sharding
 
 #: More samples along a pixel's side, or more bounces where paths branch, would never end.
 MOST_SAMPLES, MOST_BRANCHINGS = 256, 16
@@ -22,6 +26,15 @@ class Options(eqx.Module):
     samples: int = eqx.field(static=True)
     antialias: bool = eqx.field(static=True)
     needs: Needs = eqx.field(static=True)
+    rows: Rows = eqx.field(static=True)  #: which are computed: all but on one of several devices
+    sharding: NamedSharding | None = eqx.field(static=True)  #: how rows lie on several devices
+
+    @property
+    def of_device(self) -> "Options":
+        """Those of each device's part of the picture."""
+        assert self.sharding is not None
+        rows = rows_of_device(self.height, self.sharding)
+        return dataclasses.replace(self, rows=rows, sharding=None)
 
 
 def options(
@@ -32,6 +45,7 @@ def options(
     bounces: int = 5,
     samples: int = 1,
     needs: Needs | None = None,
+    sharding: NamedSharding | None = None,
 ) -> Options:
     """Checks and completes the static arguments of `render`."""
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
@@ -50,4 +64,8 @@ def options(
             "where an object both reflects and transmits, n bounces follow 2^n paths: "
             f"bounces must be at most {MOST_BRANCHINGS}, got {bounces}"
         )
-    return Options(width, height, highlight, bounces, samples, bool(scene.antialias), needs)
+    sharding = None if sharding is None else rows_sharding(sharding)
+    antialias, rows = bool(scene.antialias), Rows(height)
+    return Options(
+        width, height, highlight, bounces, samples, antialias, needs, rows, sharding
+    )  # fmt: skip

@@ -4,7 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
+from jax.sharding import NamedSharding
+from jaxtyping import Array, Float, Int
 
 from ._types import Highlight, Ids, Mask, Picture, Plane
 from .camera import Ray, pixel_rays
@@ -15,6 +16,7 @@ from .options import Options, options
 from .paths import radiance
 from .phases import STRIP_PIXELS, fill, retrace
 from .scene import Scene
+from .sharding import everywhere, on_devices
 from .varying import pixel_beams
 from .vec import Vec, grey, zeros
 from .world import World, build_world
@@ -32,6 +34,7 @@ def render(
     bounces: int = 5,
     samples: int = 1,
     needs: Needs | None = None,
+    sharding: NamedSharding | None = None,
 ) -> Picture:
     """The picture of a scene: a pure function, differentiable in every array of the scene.
 
@@ -51,18 +54,38 @@ def render(
       edges covered analytically or single rays, as the antialias flag says. By default 1.
     - `needs`: what to compute, by default what `spheretrace_jax.needs(scene)` finds; to be given
       under jit, grad and vmap, where the scene's numbers are not known.
+    - `sharding`: how the picture's rows lie on several devices, each of which computes its own:
+      `NamedSharding(mesh, PartitionSpec("rows"))`, where rows is an axis of the mesh or several.
 
     **Returns:** linear RGB of shape `(height, width, 3)`, unclamped, in the scene's dtype. Row 0
-    is the top.
+    is the top. With `sharding`, rows lie on their devices, if these divide the height; if not,
+    every device holds all of them. Where devices are those of several processes, all of these call
+    `render` with the same arguments, and `jax.experimental.multihost_utils.process_allgather(
+    picture, tiled=True)` is the whole picture as a numpy array.
 
-    **Raises:** `InputError` for sizes, samples or bounces out of range and unknown highlights.
+    **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights and
+    shardings that divide other than rows.
     """
-    return draw(scene, options(scene, width, height, highlight, bounces, samples, needs))
+    checked = options(scene, width, height, highlight, bounces, samples, needs, sharding)
+    return draw(everywhere(scene, checked.sharding), checked)
 
 
 @eqx.filter_jit
 def draw(scene: Scene, options: Options) -> Picture:
     """`render` with its static arguments already checked."""
+    if options.sharding is None:
+        return _rows(scene, options)
+    own = lambda scene, _: _rows(scene, options.of_device)
+    return on_devices(own, options.sharding, scene)[: options.height]
+
+
+def draw_everywhere(scene: Scene, options: Options) -> Picture:
+    """`draw`, and the whole picture on each device."""
+    return everywhere(draw(scene, options), options.sharding)
+
+
+def _rows(scene: Scene, options: Options) -> Float[Array, "rows width 3"]:
+    """The rows of the picture that are to be computed."""
     return averaged(*sampled(scene, options), options)
 
 
@@ -77,33 +100,37 @@ def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
         color, edge = _sample(scene, world, options, *place)
         return (total[0] + color, total[1] | edge), None
 
-    size = (options.height, options.width)
+    size = (options.rows.count, options.width)
     start = zeros(size, scene.dtype), jnp.full(size, False)
     (color, edge), _ = lax.scan(add, start, places)
     return color * (1 / k**2), edge
 
 
 def sample_places(scene: Scene, options: Options) -> tuple[Array, Array]:
-    """Where a pixel's k x k samples are: in pixels, from its left and its top."""
+    """Where a pixel's k x k samples are: in pixels, from its left and from its top.
+
+    Of the first one that is computed; of another so many rows and columns away add these.
+    """
     middles = (jnp.arange(options.samples, dtype=scene.dtype) + 0.5) / options.samples
     left, top = jnp.meshgrid(middles, middles)
-    return left.reshape(-1), top.reshape(-1)
+    first = jnp.asarray(options.rows.first, scene.dtype)
+    return left.reshape(-1), top.reshape(-1) + first
 
 
-def averaged(color: Vec, edge: Mask, options: Options) -> Picture:
-    """The picture: where pixels are areas, smooth shading is averaged over them, too.
+def averaged(color: Vec, edge: Mask, options: Options) -> Float[Array, "rows width 3"]:
+    """The picture's rows: where pixels are areas, smooth shading is averaged over them, too.
 
     The mean of a smooth f over a pixel is f + (f_xx + f_yy)/24: without that what is bright and
     small, as highlights are, is too bright at its centre.
     """
     if options.antialias:
-        across, down = smooth_beside(edge)
+        across, down = smooth_beside(edge, options)
         part = bend_part(options)
 
         def mean(f: Plane) -> Plane:
-            wide = jnp.pad(f, 1)
-            bend_x = wide[1:-1, :-2] + wide[1:-1, 2:] - 2 * f
-            bend_y = wide[:-2, 1:-1] + wide[2:, 1:-1] - 2 * f
+            wide, tall = jnp.pad(f, ((0, 0), (1, 1))), options.rows.with_neighbours(f)
+            bend_x = wide[:, :-2] + wide[:, 2:] - 2 * f
+            bend_y = tall[:-2] + tall[2:] - 2 * f
             return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
 
         color = jax.tree.map(mean, color)
@@ -115,17 +142,17 @@ def bend_part(options: Options) -> float:
     return 1 / (24 * options.samples**2)
 
 
-def smooth_beside(edge: Mask) -> tuple[Mask, Mask]:
+def smooth_beside(edge: Mask, options: Options) -> tuple[Mask, Mask]:
     """Where there is no edge in a pixel nor left and right of it, and not above and below."""
-    cut = jnp.pad(edge, 1, constant_values=True)
-    across = ~(edge | cut[1:-1, :-2] | cut[1:-1, 2:])
-    return across, ~(edge | cut[:-2, 1:-1] | cut[2:, 1:-1])
+    smooth = ~edge & options.rows.within(options.height)[:, None]
+    wide, tall = jnp.pad(smooth, ((0, 0), (1, 1))), options.rows.with_neighbours(smooth)
+    return smooth & wide[:, :-2] & wide[:, 2:], smooth & tall[:-2] & tall[2:]
 
 
 def point_seen(
     scene: Scene, world: World, options: Options, pixels: Ids, left: Array, top: Array
 ) -> Vec:
-    """What one ray sees of each of some pixels. **Arguments:** `pixels`: row by row from 0."""
+    """What one ray sees of some pixels. **Arguments:** `pixels`: row by row from `left`, `top`."""
     return radiance(scene, world, rays_through(scene, options, pixels, left, top), options)[0]
 
 
@@ -146,7 +173,8 @@ def area_seen(
 ) -> Vec:
     """What a sample sees of some pixels, their edges covered by area.
 
-    **Arguments:** `pixels`: row by row from 0. `alive`: which of them count; others are 0.
+    **Arguments:** `pixels`: row by row from `left`, `top`. `alive`: which of them count; others
+    are 0.
     """
     column, row = _position(pixels, options, left, top)
     size = options.width, options.height
@@ -168,8 +196,9 @@ def _sample(
     **Arguments:** `left`, `top`: where the first one is, in pixels.
     """
     dtype, width, height = scene.dtype, options.width, options.height
-    strips = -(-width * height // STRIP_PIXELS)
-    rows = -(-height // strips)
+    count = options.rows.count
+    strips = -(-width * count // STRIP_PIXELS)
+    rows = -(-count // strips)
 
     colors = options.needs.colors
 
@@ -186,8 +215,8 @@ def _sample(
         color, edge = radiance(scene, world, ray, options, cone=cone)
         return color if colors else color.x, edge
 
-    first_rows = jnp.arange(0, height, rows, dtype=jnp.int32)
-    whole = lambda x: x.reshape(-1, width)[:height]
+    first_rows = jnp.arange(0, count, rows, dtype=jnp.int32)
+    whole = lambda x: x.reshape(-1, width)[:count]
     color, edge = jax.tree.map(whole, lax.map(trace, first_rows))
     color = color if colors else grey(color)
     if not options.antialias:

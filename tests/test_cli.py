@@ -374,6 +374,14 @@ MISTAKES = {
         "demo -o scene.txt",
         "scene.txt: expected a folder to write to, this is a file",
     ),
+    "a file for the cache": (
+        "render scene.txt -o out.png --cache scene.txt",
+        "scene.txt: expected a folder to write to, this is a file",
+    ),
+    "a cache in a file": (
+        "fit scene.txt target.exr -o out.txt --cache scene.txt/cache",
+        "scene.txt/cache: Not a directory",
+    ),
 }
 
 
@@ -406,6 +414,43 @@ def test_words_that_no_option_knows_exit_with_2(words, spheretrace, folder):
     assert files(folder) == before
 
 
+def test_a_cache_that_cannot_be_written_to_is_a_mistake(spheretrace, folder, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: "kept" not in str(path))
+    message = "spheretrace: kept: this folder cannot be written to\n"
+    assert spheretrace(*RENDER, "--cache", "kept") == (2, "", message)
+
+
+# --- the cache ------------------------------------------------------------------------------------
+
+COUNTING = """
+import collections, jax
+from spheretrace_jax import cli
+
+counts = collections.Counter()
+jax.monitoring.register_event_listener(lambda event, **_: counts.update([event]))
+try:
+    cli.main()
+finally:
+    print(*(counts["/jax/compilation_cache/" + name] for name in ("cache_hits", "cache_misses")))
+"""
+
+
+def test_a_second_process_with_the_cache_compiles_nothing(folder):
+    def counted(output: str) -> tuple[int, int]:
+        words = ("render", "scene.txt", "-o", output, "--size", "32x24", "--cache", "new/cache")
+        result = python("-c", COUNTING, *words, folder=folder)
+        assert (result.returncode, result.stderr) == (0, "")
+        hits, misses = result.stdout.splitlines()[-1].split()
+        return int(hits), int(misses)
+
+    hits, misses = counted("first.exr")
+    assert misses > 0
+    kept = files(folder / "new" / "cache").keys()
+    assert counted("second.exr") == (hits + misses, 0)
+    assert files(folder / "new" / "cache").keys() == kept
+    np.testing.assert_array_equal(st.read_image("second.exr"), st.read_image("first.exr"))
+
+
 # --- help, and what is loaded ---------------------------------------------------------------------
 
 HELP = {
@@ -415,15 +460,16 @@ HELP = {
         *("--highlight {phong,blinn}", "--bounces N", "reflections and transmissions at most"),
         *("--samples K", "mean of K x K parts", "--dtype {float32,float64}", "--bits B"),
         *("--colorspace {auto,linear,srgb}", "how to code the file's numbers", "png, ppm"),
+        *("--cache DIR", "keep compiled programs"),
     ],
     "fit": [
         *("SCENE", "TARGET", "-o FITTED.txt", "--free NAMES", "color, ka, kd, ks, exponent"),
         *("light_position", "--highlight {phong,blinn}", "--max-steps N", "--report DIR"),
-        *("cost curve", "--dtype", "when it is interrupted", "Exit status 1"),
+        *("cost curve", "--dtype", "when it is interrupted", "Exit status 1", "--cache DIR"),
     ],
     "info": ["SCENE", "what is left out and why"],
     "convert": ["SCENE", "OUT.pov", "POV-Ray"],
-    "demo": ["-o DIR", "the folder to write to", "POV-Ray", "from a wrong start"],
+    "demo": ["-o DIR", "the folder to write to", "POV-Ray", "from a wrong start", "--cache DIR"],
 }
 
 

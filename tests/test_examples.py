@@ -49,6 +49,15 @@ def test_fit_picture(tmp_path):
     assert np.isfinite(list(found.values())).all()
 
 
+def test_several_devices(tmp_path):
+    said = run("several_devices.py", "--size", "24", "--devices", "4", folder=tmp_path)
+    rows = re.findall(r"has rows (\d+)\.\.(\d+)", said)
+    assert rows == [("0", "5"), ("6", "11"), ("12", "17"), ("18", "23")]
+    assert "converged after" in said
+    same, off = re.findall(r"(?:same to|off by) (\S+)", said)
+    assert float(same) < 1e-12 and float(off) < 1e-8
+
+
 @pytest.mark.slow
 def test_fit_geometry(tmp_path):
     said = run("fit_geometry.py", "--size", "40", folder=tmp_path)

@@ -17,8 +17,8 @@ FILES = {
 
 CORE = """
     _types appearance camera cost coverage edges errors halfplane intersect layers needs options
-    outlines paths peel penumbra phases possible render scene shading texture varying vec visibility
-    world
+    outlines paths peel penumbra phases possible render scene shading sharding texture varying vec
+    visibility world
 """.split()
 OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")
@@ -135,7 +135,8 @@ def test_only_programs_import_the_whole_package():
 @pytest.mark.parametrize("module", FILES)
 def test_no_module_changes_jax_s_settings(module):
     calls = [ast.unparse(n.func) for n in ast.walk(tree(module)) if isinstance(n, ast.Call)]
-    assert not [name for name in calls if name.endswith("config.update")]
+    changes = [name for name in calls if name.endswith("config.update")]
+    assert not changes or module == f"{PACKAGE}.cli"  # which is a process of its own
     targets = [
         ast.unparse(target)
         for node in ast.walk(tree(module))

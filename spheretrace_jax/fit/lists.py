@@ -82,7 +82,7 @@ def _labels(scene: Scene, layout: Layout, options: Options) -> Int[Array, " pixe
         alone = jnp.where(first >= 0, first, sky)
         return jnp.where(same & ends[first], alone, len(layout.each) + SEVERAL)
 
-    size = options.width * options.height
+    size = options.width * options.rows.count
     strips = -(-size // STRIP_PIXELS)
     strip = -(-size // strips)
     pixels = jnp.arange(strips * strip, dtype=jnp.int32).reshape(strips, strip)

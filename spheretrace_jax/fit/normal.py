@@ -31,6 +31,7 @@ from ..render import (
     smooth_beside,
 )
 from ..scene import Scene
+from ..sharding import on_devices, padded
 from ..vec import Vec, zeros
 from ..visibility import hit_of
 from ..world import Own, World, build_world
@@ -69,8 +70,31 @@ def normal_equations(
     """J^T J, J^T r and the cost in one pass over the picture, by the free parameters themselves.
 
     **Arguments:** `exposure`: what the picture is multiplied by, per channel. `layout`: which
-    parameters are free and their order. `lists`: what pixels show, if it is known.
+    parameters are free and their order. `lists`: what pixels show, if it is known; by device.
     """
+    if options.sharding is None:
+        return _of_rows(scene, exposure, target, layout, options, lists)
+
+    def own(whole: tuple, own: tuple) -> Normal:
+        (scene, exposure, noise), (image, weight, lists) = whole, own
+        mine, part = Target(image, weight, noise, target.loss), options.of_device
+        return lax.psum(_of_rows(scene, exposure, mine, layout, part, lists), part.rows.axes)
+
+    whole = scene, exposure, target.noise
+    # rows beyond the picture weigh nothing
+    image, weight = (padded(x, options.sharding) for x in (target.image, target.weight))
+    return on_devices(own, options.sharding, whole, (image, weight, lists), joined=True)
+
+
+def _of_rows(
+    scene: Scene,
+    exposure: Float[Array, " 3"],
+    target: Target,
+    layout: Layout,
+    options: Options,
+    lists: Lists | None,
+) -> Normal:
+    """The part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
     world = build_world(scene)
     edge = sampled(scene, options)[1] if options.antialias else None
     if lists is None:
@@ -255,5 +279,5 @@ def _sum(term: Callable[[Any], Vec], over: Any) -> Vec:
 
 def _weights(edge: Mask, options: Options, dtype: np.dtype) -> Float[Array, "5 pixels"]:
     """What a pixel and those of `_BESIDE` count in its mean."""
-    across, down = (bend_part(options) * m.astype(dtype) for m in smooth_beside(edge))
+    across, down = (bend_part(options) * m.astype(dtype) for m in smooth_beside(edge, options))
     return jnp.stack([1 - 2 * across - 2 * down, across, across, down, down]).reshape(5, -1)

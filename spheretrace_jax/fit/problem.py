@@ -8,14 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jax.sharding import NamedSharding
 from jaxtyping import Array, Bool, Float, PyTree
 
 from .._types import Highlight, Picture
 from ..errors import InputError
 from ..needs import needs
 from ..options import Options, options as render_options
-from ..render import draw
+from ..render import draw_everywhere
 from ..scene import Scene
+from ..sharding import everywhere, gathered, on_devices
 from .layout import Layout
 from .lists import Lists, sorted_pixels
 from .normal import Normal, normal_equations
@@ -42,7 +44,7 @@ class Problem(eqx.Module):
     parameters: tuple[Parameters, ...]  #: one for each picture
     targets: tuple[Target, ...]
     options: tuple[Options, ...]
-    lists: tuple[Lists | None, ...]  #: what pixels show, where nothing free changes that
+    lists: tuple[Lists | None, ...]  #: what pixels show, where nothing free changes it; by device
     own: frozenset[str] = eqx.field(static=True)  #: the names of what each picture has of its own
 
     def start(self) -> PyTree:
@@ -117,7 +119,7 @@ class Problem(eqx.Module):
     def pictures(self, values: PyTree) -> list[tuple[Picture, Float[Array, " 3"]]]:
         """Each scene's picture and its exposure."""
         placed = zip(self.place(values), self.options, strict=True)
-        return [(draw(scene, options), exposure) for (scene, exposure), options in placed]
+        return [(draw_everywhere(scene, o), exposure) for (scene, exposure), o in placed]
 
     def with_noise_at(self, values: PyTree) -> "Problem":
         """The same, with each target's noise estimated from what is left at some values."""
@@ -209,12 +211,14 @@ def make_problem(
     highlight: Highlight,
     bounces: int,
     samples: int,
+    sharding: NamedSharding | None = None,
     **counts: Any,
 ) -> Problem:
     """Checks what a user asks for. **Arguments:** as for `fit`; `counts`: as for `make_target`."""
     check_free(free)
     scenes = [scene] if isinstance(scene, Scene) else list(scene)
     several = not isinstance(scene, Scene)
+    target, counts = gathered((target, counts))
     images = list(target) if several or isinstance(target, list | tuple) else [target]
     if len(scenes) != len(images) or not scenes:
         raise InputError(
@@ -231,8 +235,11 @@ def make_problem(
         goal = make_target(image, one.dtype, **{name: x[k] for name, x in each.items()})
         height, width, _ = goal.image.shape
         wanted = needs(one, free=[name for name in free if name != "exposure"])
-        options.append(render_options(one, width, height, highlight, bounces, samples, wanted))
+        options.append(
+            render_options(one, width, height, highlight, bounces, samples, wanted, sharding)
+        )
         targets.append(goal)
+    scenes, targets = everywhere((scenes, targets), options[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
     fixed = not GEOMETRY & set(free)
     lists = tuple(
@@ -244,7 +251,11 @@ def make_problem(
 
 @eqx.filter_jit
 def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> Lists:
-    return sorted_pixels(scene, Layout(scene, free), options, None)
+    layout = Layout(scene, free)
+    if options.sharding is None:
+        return sorted_pixels(scene, layout, options, None)
+    own = lambda scene, _: sorted_pixels(scene, layout, options.of_device, None)
+    return on_devices(own, options.sharding, scene)
 
 
 def _each(name: str, value: Any, count: int) -> list:

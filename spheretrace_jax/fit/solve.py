@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.sharding import NamedSharding
 from jaxtyping import Array, Float, PyTree
 
 from .._types import Highlight
@@ -115,6 +116,7 @@ def fit(
     atol: float | None = None,
     throw: bool = False,
     callback: Callable[[Progress], Any] | None = None,
+    sharding: NamedSharding | None = None,
 ) -> Fit:
     """Finds the scene whose picture is nearest to `target`, starting from `scene`.
 
@@ -160,6 +162,12 @@ def fit(
       on the residuals; by default 1e-10 in float64 and 1e-6 in float32.
     - `throw`: raise an error if the solver does not converge.
     - `callback`: called with a `Progress` after each step.
+    - `sharding`: how the pictures' rows lie on several devices, as for `render`: each device sums
+      up the normal equations of its own rows, and what is found lies whole on all of them. Where
+      devices are those of several processes, all of these call `fit` with the same arguments. A
+      target, mask, weights or noise may be an array whose parts lie with several processes, such
+      as rows of one picture, or pictures of a list that is one array of shape `(pictures, height,
+      width, 3)` (`jax.make_array_from_process_local_data`): it is sent to all of them once.
 
     With several pictures `mask`, `weights` and `noise` are lists, or one value for all.
 
@@ -169,7 +177,7 @@ def fit(
     **Raises:** `InputError` (a `ValueError`) for unusable targets and names.
     """
     problem = make_problem(
-        scene, target, tuple(free), tuple(own), highlight, bounces, samples,
+        scene, target, tuple(free), tuple(own), highlight, bounces, samples, sharding,
         mask=mask, weights=weights, noise=noise, darkest=darkest, loss=loss,
     )  # fmt: skip
     edges = _geometry(free)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from .._types import Picture
-from ..render import draw
+from ..render import draw_everywhere
 from .names import names_of
 from .problem import Problem, normal_at
 from .target import Target
@@ -39,7 +39,7 @@ def strays(problem: Problem, values: PyTree, cost: float) -> list[Bool[np.ndarra
         if options.antialias or np.sqrt(2 * cost) <= _least(target):
             found.append(np.zeros(target.image.shape, bool))
         else:
-            found.append(_far(target, draw(scene, options), exposure))
+            found.append(_far(target, draw_everywhere(scene, options), exposure))
     return found
 
 
