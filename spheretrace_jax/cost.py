@@ -17,7 +17,9 @@ def operations(scene: Scene, needs: Needs) -> float:
     """How many arithmetic operations a small picture of the scene takes, one ray per pixel."""
     program = options(scene.with_antialias(0), _SIDE, _SIDE, bounces=_BOUNCES, needs=needs)
     lowered = jax.jit(lambda scene: draw(scene, program)).lower(scene.with_antialias(0))
-    return float(lowered.cost_analysis()["flops"])
+    counted = lowered.cost_analysis()
+    assert counted is not None
+    return float(counted["flops"])
 
 
 def saved(scene: Scene) -> dict[str, float]:

@@ -87,7 +87,8 @@ def found_by(fit: st.Fit) -> Results:
     spheres = [np.asarray(x) for x in jax.tree.leaves(fit.scene.spheres)]
     numbers = dict(zip(("center", "radius", "color", "ka", "kd", "ks"), spheres, strict=False))
     lights = np.stack([np.asarray(scene.lights.position) for scene in fit.scenes])
-    said = dict(ok=fit.trust.ok, steps=fit.steps, counted=fit.counted, left_out=fit.left_out)
+    # not the steps: near the minimum rounding decides whether there is one more
+    said = dict(ok=fit.trust.ok, counted=fit.counted, left_out=fit.left_out)
     said = {name: np.asarray(x, float) for name, x in said.items()}
     return numbers | said | {"lights": lights, "rank": np.asarray(fit.identifiability.rank, float)}
 
