@@ -8,8 +8,10 @@ from jaxtyping import Array, Int
 
 from ._types import Highlight, Ids, Mask, Picture, Plane
 from .camera import Ray, pixel_rays
+from .charts import TILE
 from .edges import pixel_cones
 from .layers import layered
+from .lists import lists
 from .needs import Needs
 from .options import Options, options
 from .paths import radiance
@@ -68,7 +70,9 @@ def draw(scene: Scene, options: Options) -> Picture:
 
 def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
     """The mean of each pixel's samples, and in which pixels there may be edges."""
-    world, k = build_world(scene), options.samples
+    size = options.width, options.height
+    world = build_world(scene, lists(scene, size, options.needs, options.bounces))
+    k = options.samples
     places = sample_places(scene, options)
     if k == 1:
         return _sample(scene, world, options, places[0][0], places[1][0])
@@ -170,6 +174,8 @@ def _sample(
     dtype, width, height = scene.dtype, options.width, options.height
     strips = -(-width * height // STRIP_PIXELS)
     rows = -(-height // strips)
+    if world.lists is not None:
+        rows = -(-rows // TILE) * TILE
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @jax.checkpoint
@@ -181,7 +187,7 @@ def _sample(
         if options.antialias:
             side = scene.camera.window / (height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
-        return radiance(scene, world, ray, options, cone=cone)
+        return radiance(scene, world.of_strip(first_row), ray, options, cone=cone)
 
     first_rows = jnp.arange(0, height, rows, dtype=jnp.int32)
     whole = lambda x: x.reshape(-1, width)[:height]

@@ -8,11 +8,12 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray, view_frame
 from .intersect import perpendicular
+from .lists import Lists
 from .needs import Needs
 from .phases import fetch, fetch_own, smallest_int
 from .scene import Scene
@@ -92,7 +93,14 @@ class World(eqx.Module):
     materials: Material
     checkers: Checker
     window: Scalar
+    lists: Lists | None = None  #: where to look for spheres if there are many
     own: Own | None = None  #: what each pixel sees in place of the tables, for Jacobians
+
+    def of_strip(self, first_row: Int[Array, ""]) -> "World":
+        """The world seen by a strip of full rows of pixels from one on."""
+        if self.lists is None:
+            return self
+        return eqx.tree_at(lambda w: w.lists, self, self.lists.of_strip(first_row))
 
     @property
     def spheres(self) -> int:
@@ -126,8 +134,8 @@ def _columns(array: Float[Array, "rows 3"]) -> Vec:
     return Vec(array[:, 0], array[:, 1], array[:, 2])
 
 
-def build_world(scene: Scene) -> World:
-    """Lays out a scene for tracing."""
+def build_world(scene: Scene, lists: Lists | None = None) -> World:
+    """Lays out a scene for tracing. **Arguments:** `lists`: those of the picture, if any."""
     s, p, back = scene.spheres, scene.planes, scene.back_plane
     flats = Flat(_columns(p.point), unit(_columns(p.normal)))
     table = Material(_columns(p.color), p.ka, p.kd, p.ks, p.exponent, p.kgr, jnp.zeros_like(p.ka))
@@ -146,6 +154,7 @@ def build_world(scene: Scene) -> World:
         materials=jax.tree.map(lambda a, b: jnp.concatenate([a, b]), material, table),
         checkers=checkers,
         window=scene.camera.window,
+        lists=lists,
     )
 
 

@@ -1,0 +1,240 @@
+"""Charts of what is seen from a point, from the eye or from a light, with lists of spheres.
+
+All rays through one point are points of a picture, and spheres are spots in it: a ray only meets
+spheres whose spots' boxes are in the ray's cell of the chart. From the eye the chart is the window
+itself, and its cells are tiles of pixels, whose rays look at one list together. From a light it is
+a stereographic one, that shows all directions.
+"""
+
+import math
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ._types import Mask, Plane, Scalar
+from .camera import Frame, view_frame
+from .cells import SLACK, Boxes, C, Cells, Meet, T, cluster, most_cells, most_within, sort_into_cells
+from .scene import Camera
+from .vec import Vec, cross, dot, norm, unit, vec, where
+
+# Tiles of this many pixels along each side.
+TILE = 8
+
+class View(eqx.Module):
+    """The spheres of each tile of a picture."""
+
+    cells: Cells
+    row: Int[Array, ""] | None = None  #: of tiles, with which a strip of pixels starts, if any
+
+    def of_strip(self, first_row: Int[Array, ""]) -> "View":
+        """The view from pixels on that start at a row, a multiple of `TILE`."""
+        return View(self.cells, first_row // TILE)
+
+    def over(self, rays: C, meet: Meet, state: T, done: Callable[[T], Mask]) -> T:
+        """What becomes of a strip's pixels by meeting the spheres of their tiles.
+
+        **Arguments:** `rays`, `state`: what `meet` has to know of each ray, and what it changes.
+        """
+        shape = jax.tree.leaves(state)[0].shape
+        rows, columns = (-(-n // TILE) for n in shape)
+        step = self.cells.width.astype(jnp.int32)
+        row = (self.row + jnp.arange(rows, dtype=jnp.int32)) // step
+        column = jnp.arange(columns, dtype=jnp.int32) // step
+        cell = self.cells.cell(column[None, :], row[:, None]).reshape(-1, 1)
+        state = self.cells.over(cell, meet, *jax.tree.map(tiles, (rays, state)), done)
+        return jax.tree.map(lambda plane: untiled(plane, shape), state)
+
+
+def tiles(plane: Plane) -> Float[Array, "tiles pixels"]:
+    """A strip's pixels tile by tile; those beyond its border are like the last."""
+    rows, columns = (-n % TILE for n in plane.shape)
+    wide = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
+    down, across = (n // TILE for n in wide.shape)
+    return wide.reshape(down, TILE, across, TILE).swapaxes(1, 2).reshape(-1, TILE**2)
+
+
+def untiled(plane: Float[Array, "tiles pixels"], shape: tuple[int, int]) -> Plane:
+    """A strip's pixels row by row: `tiles` the other way round."""
+    down, across = (-(-n // TILE) for n in shape)
+    wide = plane.reshape(down, across, TILE, TILE).swapaxes(1, 2)
+    return wide.reshape(down * TILE, across * TILE)[: shape[0], : shape[1]]
+
+
+def view(center: Vec, radius: Plane, camera: Camera, size: tuple[int, int]) -> View:
+    """The lists of a picture of `size` (width, height) in pixels."""
+    frame, pitch = view_frame(camera), camera.window / size[1]
+    to_center = center - frame.eye
+    eps = jnp.finfo(radius.dtype).eps
+    radius_ = radius + (SLACK * eps) * norm(to_center)
+    along = dot(to_center, frame.forward)
+    low, high = [], []
+    for side, pixels in ((frame.right, size[0]), (-frame.up, size[1])):
+        left, right = tangents(dot(to_center, side), along, radius_)
+        scale, middle = camera.distance / pitch, pixels / 2
+        tiles_ = -(-pixels // TILE)
+        left = ((left * scale + middle) - SLACK * eps * pixels) / TILE
+        right = ((right * scale + middle) + SLACK * eps * pixels) / TILE
+        seen = (left < tiles_) & (right > 0)
+        left, right = jnp.maximum(left, 0), jnp.minimum(right, tiles_)
+        low.append(jnp.where(seen, left, 1))
+        high.append(jnp.where(seen, right, 0))
+    counts = [-(-n // TILE) for n in size]
+    boxes = Boxes(tuple(low), tuple(high))
+    most = math.prod(counts)
+    cells = sort_into_cells(center, radius, boxes, jnp.asarray(counts, radius.dtype), most)
+    return View(cells)
+
+
+def tangents(x: Plane, z: Plane, radius: Plane) -> tuple[Plane, Plane]:
+    """Between which x/z circles lie that are seen from the origin, as far as they are at z > 0.
+
+    The tangents' slopes m solve (z^2 - R^2) m^2 - 2 x z m + x^2 - R^2 = 0; of the two forms of
+    each root the one is taken that subtracts no near numbers.
+
+    **Arguments:** `x`, `z`: the circles' centres, the view along z.
+
+    **Returns:** the least and the largest slope, infinite where the circle reaches sideways beyond
+    all slopes, inf and -inf where it is behind.
+    """
+    left, x = x < 0, jnp.abs(x)
+    square = radius * radius
+    root = radius * jnp.sqrt(jnp.maximum(x * x + z * z - square, 0))
+    beyond, before = z * z - square, z > 0
+    top = jnp.where(before, x * x - square, x * z - root)
+    bottom = jnp.where(before, x * z + root, beyond)
+    low = jnp.where(bottom != 0, top / jnp.where(bottom != 0, bottom, 1), -jnp.inf)
+    ahead = z > radius
+    high = jnp.where(ahead, (x * z + root) / jnp.where(ahead, beyond, 1), jnp.inf)
+    inside, behind = x * x + z * z <= square, z <= -radius
+    low = jnp.where(inside, -jnp.inf, jnp.where(behind, jnp.inf, low))
+    high = jnp.where(behind & ~inside, -jnp.inf, high)
+    mirrored = left & ~(behind & ~inside)
+    return jnp.where(mirrored, -high, low), jnp.where(mirrored, -low, high)
+
+
+class Lamp(eqx.Module):
+    """The spheres that may stand between a light and what it shines on."""
+
+    chart: "Chart"
+    cells: Cells
+
+    def over(
+        self, point: Vec, some: Mask, meet: Meet, rays: C, state: T, done: Callable[[T], Mask]
+    ) -> T:
+        """What becomes of points' states by meeting the spheres that may shade them.
+
+        **Arguments:** `some`: which points there are. `rays`: what `meet` has to know of them.
+        """
+        shape = some.shape
+        cell = jnp.where(some, self.cells.at(*self.chart.places(point)), -1).reshape(-1)
+        rays, state = jax.tree.map(jnp.ravel, (rays, state))
+        state = self.cells.over(cell, meet, rays, state, done)
+        return jax.tree.map(lambda plane: plane.reshape(shape), state)
+
+
+def lamp(center: Vec, radius: Plane, light: Vec) -> Lamp:
+    """The lists of a light."""
+    chart = chart_of(center, radius, light)
+    boxes, size = chart.boxes(center, radius), jnp.full(2, chart.cells, radius.dtype)
+    return Lamp(chart, sort_into_cells(center, radius, boxes, size, chart.cells**2, step=2**0.5))
+
+
+class Chart(eqx.Module):
+    """A flat picture of all directions from a light: cells count from 0 to `cells` along x and y.
+
+    A stereographic projection: circles around a direction, as spheres are seen, stay circles, so
+    their boxes are exact (Snyder, "Map Projections: A Working Manual", 1987, ch. 21). Its middle
+    is where the spheres are; there it is drawn to the scale that they need, and towards the
+    opposite direction ever smaller, so that the whole of it has a finite size.
+    """
+
+    near: Vec  #: a point amid the spheres: what is near is computed from here, not from the light
+    offset: Vec  #: from the light to it, along the axes
+    right: Vec
+    up: Vec
+    forward: Vec
+    middle: tuple[Scalar, Scalar]  #: of the spheres' pictures
+    spread: tuple[Scalar, Scalar]  #: how far they reach from there
+    slack: Scalar  #: what rounding may move, in units of length
+    cells: int = eqx.field(static=True)
+
+    def seen(self, point: Vec) -> Vec:
+        """Points seen from the light, along the axes.
+
+        From a far light everything is in nearly the same direction: what is left of that after
+        rounding is too little, where differences to a point near by keep theirs.
+        """
+        away = point - self.near
+        away = Vec(dot(away, self.right), dot(away, self.up), dot(away, self.forward))
+        return away + self.offset
+
+    def places(self, point: Vec) -> tuple[Plane, Plane]:
+        """Where points are on the chart, in cells."""
+        return tuple(self._cell(x, axis) for axis, x in enumerate(self.project(point)))
+
+    def project(self, point: Vec) -> tuple[Plane, Plane]:
+        """The stereographic projection of points: tan of half the angle from the middle."""
+        w = unit(self.seen(point))
+        # of two forms the one that subtracts no near numbers
+        ahead = w.z >= 0
+        bottom = jnp.where(ahead, 1 + w.z, w.x * w.x + w.y * w.y)
+        scale = jnp.where(ahead, 1, 1 - w.z) / jnp.where(bottom > 0, bottom, 1)
+        return w.x * scale, w.y * scale
+
+    def boxes(self, center: Vec, radius: Plane) -> Boxes:
+        """Where spheres are on the chart: a cap of angular radius a around u is a circle around
+        (u.x, u.y) / (u.z + cos a) of radius sin a / (u.z + cos a).
+        """
+        v = self.seen(center)
+        distance = norm(v)
+        outside = distance > radius + self.slack
+        per = 1 / jnp.where(outside, distance, 1)
+        sine = jnp.where(outside, (radius + self.slack) * per, 1)
+        bottom = v.z * per + jnp.sqrt(jnp.maximum(1 - sine * sine, 0))
+        # what is around the light, or opposite to the middle, is everywhere
+        whole = ~outside | (bottom < BEHIND)
+        bottom = jnp.where(whole, 1, bottom)
+        low, high = [], []
+        for axis, x in enumerate((v.x, v.y)):
+            x, r = x * per / bottom, sine / bottom
+            r = r + (SLACK * jnp.finfo(r.dtype).eps) * (jnp.abs(x) + r) / bottom
+            low.append(jnp.where(whole, 0, self._cell(x - r, axis)))
+            high.append(jnp.where(whole, self.cells, self._cell(x + r, axis)))
+        return Boxes(tuple(low), tuple(high))
+
+    def _cell(self, x: Plane, axis: int) -> Plane:
+        """From the projection's coordinates to cells: evenly amid the spheres, and beyond that the
+        more the further away. Never falls, so what is between two numbers stays so.
+        """
+        x = (x - self.middle[axis]) / self.spread[axis]
+        far = jnp.abs(x) > 1
+        beyond = jnp.sign(x) * (1 - (1 - AMID) / jnp.where(far, jnp.abs(x), 1))
+        return (jnp.where(far, beyond, x * AMID) + 1) * (self.cells / 2)
+
+
+# Spheres nearer than this to the direction opposite to a chart's middle (as 1 minus the cosine of
+# the angle) are everywhere.
+BEHIND = 1e-3
+
+# This part of a chart is drawn evenly.
+AMID = 7 / 8
+
+def chart_of(center: Vec, radius: Plane, light: Vec) -> Chart:
+    """The chart of a light."""
+    group = cluster(center, radius)
+    near = group.middle
+    forward = unit(near - light)
+    forward = where(dot(forward, forward) > 0.5, forward, Vec(*jnp.eye(3, dtype=radius.dtype)[0]))
+    flat = jnp.abs(forward.x) > 0.5
+    zero, one = jnp.zeros_like(forward.x), jnp.ones_like(forward.x)
+    right = unit(cross(forward, where(flat, Vec(zero, one, zero), Vec(one, zero, zero))))
+    up = cross(right, forward)
+    offset = near - light
+    offset = Vec(dot(offset, right), dot(offset, up), dot(offset, forward))
+    cells = int(math.sqrt(most_cells(radius.shape[0])))
+    chart = Chart(near, offset, right, up, forward, (zero, zero), (one, one), group.slack, cells)
+    middle, spread = zip(*map(most_within, chart.project(group.some)), strict=True)
+    return eqx.tree_at(lambda c: (c.middle, c.spread), chart, (middle, spread))
