@@ -12,7 +12,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int, Shaped
 
 from ._types import Mask, Plane, Scalar
 from .camera import Frame, view_frame
@@ -44,11 +44,12 @@ class View(eqx.Module):
         row = (self.row + jnp.arange(rows, dtype=jnp.int32)) // step
         column = jnp.arange(columns, dtype=jnp.int32) // step
         cell = self.cells.cell(column[None, :], row[:, None]).reshape(-1, 1)
-        state = self.cells.over(cell, meet, *jax.tree.map(tiles, (rays, state)), done)
+        rays, state = jax.tree.map(tiles, (rays, state))
+        state = self.cells.over(cell, meet, rays, state, done)
         return jax.tree.map(lambda plane: untiled(plane, shape), state)
 
 
-def tiles(plane: Plane) -> Float[Array, "tiles pixels"]:
+def tiles(plane: Shaped[Array, "rows columns"]) -> Shaped[Array, "tiles pixels"]:
     """A strip's pixels tile by tile; those beyond its border are like the last."""
     rows, columns = (-n % TILE for n in plane.shape)
     wide = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
@@ -56,7 +57,9 @@ def tiles(plane: Plane) -> Float[Array, "tiles pixels"]:
     return wide.reshape(down, TILE, across, TILE).swapaxes(1, 2).reshape(-1, TILE**2)
 
 
-def untiled(plane: Float[Array, "tiles pixels"], shape: tuple[int, int]) -> Plane:
+def untiled(
+    plane: Shaped[Array, "tiles pixels"], shape: tuple[int, int]
+) -> Shaped[Array, "rows columns"]:
     """A strip's pixels row by row: `tiles` the other way round."""
     down, across = (-(-n // TILE) for n in shape)
     wide = plane.reshape(down, across, TILE, TILE).swapaxes(1, 2)
@@ -236,5 +239,5 @@ def chart_of(center: Vec, radius: Plane, light: Vec) -> Chart:
     offset = Vec(dot(offset, right), dot(offset, up), dot(offset, forward))
     cells = int(math.sqrt(most_cells(radius.shape[0])))
     chart = Chart(near, offset, right, up, forward, (zero, zero), (one, one), group.slack, cells)
-    middle, spread = zip(*map(most_within, chart.project(group.some)), strict=True)
+    middle, spread = zip(*most_within(chart.project(group.some)), strict=True)
     return eqx.tree_at(lambda c: (c.middle, c.spread), chart, (middle, spread))

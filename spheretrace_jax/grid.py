@@ -106,7 +106,8 @@ def _columns(box: Ids) -> list[Ids]:
 def grid(center: Vec, radius: Plane) -> Grid:
     """The lists of boxes of space."""
     group, most = cluster(center, radius), 2 * radius.shape[0]
-    axes = [(x, *most_within(s)) for x, s in zip(_parts(center), _parts(group.some))]
+    most_of = most_within(_parts(group.some))
+    axes = [(x, *within) for x, within in zip(_parts(center), most_of, strict=True)]
     # boxes are cubes, and there are as many as there is room for, of a flat cluster too
     spreads = [spread for _, _, spread in axes]
     largest = functools.reduce(jnp.maximum, spreads)

@@ -16,7 +16,8 @@ FILES = {
 }
 
 CORE = """
-    _types appearance camera coverage edges errors halfplane intersect layers needs options outlines
+    _types appearance camera cells charts coverage edges errors grid halfplane intersect layers lists
+    needs options outlines
     paths peel penumbra phases render scene shading texture varying vec visibility world
 """.split()
 OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
