@@ -7,6 +7,7 @@ list ever overflows, whatever the spheres' sizes, and the cells come out about a
 in them.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -52,14 +53,23 @@ SAMPLE, MOST = 1 << 10, 0.97
 FAR = 16
 
 
-class Boxes(eqx.Module):
-    """A box around each of n spheres: its least and its largest coordinate along each axis.
+class Layout(eqx.Module):
+    """A grid, and where n spheres are in it: a box around each, in finest cells.
 
-    In finest cells, of any size, infinite too; where `low > high` the sphere is nowhere.
+    Boxes are of any finite size; where `low > high` along some axis the sphere is nowhere.
     """
 
-    low: tuple[Float[Array, " n"], ...]
+    low: tuple[Float[Array, " n"], ...]  #: along each of three axes
     high: tuple[Float[Array, " n"], ...]
+    size: Float[Array, " axes"]  #: how many finest cells there are along each axis
+    step: Scalar  #: by how much cells are wider where there is no room for narrower ones
+
+
+def flat_layout(low: Sequence, high: Sequence, size: Sequence, step: float) -> Layout:
+    """A layout of only two axes."""
+    zero = jnp.zeros_like(low[0])
+    size = jnp.asarray([*size, 1], zero.dtype)
+    return Layout((*low, zero), (*high, zero), size, jnp.asarray(step, zero.dtype))
 
 
 class Cells(eqx.Module):
@@ -132,47 +142,49 @@ class Cells(eqx.Module):
         return center, jnp.where(some, radius, jnp.nan), jnp.where(some, number, NOBODY)
 
 
-def sort_into_cells(
-    center: Vec,
-    radius: Plane,
-    boxes: Boxes,
-    size: Float[Array, " axes"],
-    most: int,
-    step: float = 2.0,
-) -> Cells:
-    """Lists of the spheres in each cell of a grid.
+def sort_into_cells(center: Vec, radius: Plane, layouts: Layout, most: int) -> Cells:
+    """Lists of the spheres in each cell of some grids.
 
-    **Arguments:** `size`: how many finest cells there are along each axis, at most `most` in all.
-    `step`: by how much cells are wider where there is no room for narrower ones.
+    All grids at once, so that this is compiled once only.
+
+    **Arguments:** `layouts`: several, stacked. `most`: how many cells a grid may have.
+
+    **Returns:** the cells of each grid, stacked.
     """
+    return lax.map(lambda layout: _sort_into_cells(center, radius, layout, most), layouts)
+
+
+def _sort_into_cells(center: Vec, radius: Plane, layout: Layout, most: int) -> Cells:
     n, dtype = radius.shape[0], radius.dtype
     room = _room(n)
-    # in a single cell, the widest, there always is room for all spheres
-    steps = math.ceil(math.log(most + 1, step))
-    widths = jnp.asarray([step**k for k in range(steps)] + [math.inf], dtype)
-    counts = jnp.maximum(jnp.ceil(size[None] / widths[:, None]), 1)
-    few = jnp.prod(counts, axis=1) <= most
-    counts = jnp.where(few[:, None], counts, 1).astype(jnp.int32)
 
-    def covered(width: Scalar, count: Int[Array, " axes"]) -> tuple:
+    def counts(width: Scalar) -> Float[Array, " axes"]:
+        """How many cells there are along each axis."""
+        return jnp.maximum(jnp.ceil(layout.size / width), 1)
+
+    def covered(width: Scalar) -> tuple:
         """The first cell along each axis, how many there are, and the pairs."""
-        low = [_along(x, width, m) for x, m in zip(boxes.low, count)]
-        high = [_along(x, width, m) for x, m in zip(boxes.high, count)]
-        spans = [b - a + 1 for a, b in zip(low, high)]
+        count = counts(width).astype(jnp.int32)
+        low = [_along(x, width, m) for x, m in zip(layout.low, count, strict=True)]
+        high = [_along(x, width, m) for x, m in zip(layout.high, count, strict=True)]
+        spans = [b - a + 1 for a, b in zip(low, high, strict=True)]
         pairs = math.prod(spans)
-        most = jnp.maximum((jnp.prod(count).astype(dtype) * WIDE).astype(jnp.int32), 1)
-        some = math.prod((a <= b).astype(jnp.int32) for a, b in zip(boxes.low, boxes.high))
-        return low, spans, pairs > most, jnp.where(pairs > most, 1, pairs) * some
+        wide = pairs > jnp.maximum(jnp.prod(counts(width)) * WIDE, 1).astype(jnp.int32)
+        some = [a <= b for a, b in zip(layout.low, layout.high, strict=True)]
+        some = functools.reduce(jnp.logical_and, some)
+        return low, spans, wide, jnp.where(some, jnp.where(wide, 1, pairs), 0)
 
-    def fits(choice: tuple) -> Bool[Array, ""]:
-        pairs = covered(*choice)[-1]
+    def too_narrow(width: Scalar) -> Bool[Array, ""]:
+        pairs = covered(width)[-1]
         # a sum of whole numbers is exact, but may overflow
         about = jnp.sum(pairs.astype(jnp.float32))
-        return (about < 2 * room) & (jnp.sum(pairs, dtype=jnp.int32) <= room)
+        fits = (about < 2 * room) & (jnp.sum(pairs, dtype=jnp.int32) <= room)
+        return (jnp.prod(counts(width)) > most) | ~fits
 
-    choice = jnp.argmax(few & lax.map(fits, (widths, counts)))
-    width, count = widths[choice], counts[choice]
-    low, spans, wide, pairs = covered(width, count)
+    # there always is room for all spheres in a single cell
+    width = lax.while_loop(too_narrow, lambda width: width * layout.step, jnp.ones((), dtype))
+    count = counts(width).astype(jnp.int32)
+    low, spans, wide, pairs = covered(width)
     none = jnp.prod(count, dtype=jnp.int32) + 1
 
     # whose the pairs are: the last one's whose pairs start there or before
@@ -181,7 +193,7 @@ def sort_into_cells(
     slot = jnp.arange(room, dtype=jnp.int32)
     owner = running_sum(jnp.zeros(room, jnp.int32).at[start].add(1, mode="drop")) - 1
     rest, columns = slot - _at(start, owner), []
-    for first, span in zip(low, spans):
+    for first, span in zip(low, spans, strict=True):
         span = _at(span, owner)
         columns.append(_at(first, owner) + lax.rem(rest, span))
         rest = lax.div(rest, span)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Int, Shaped
 
 from ._types import Mask, Plane, Scalar
 from .camera import Frame, view_frame
-from .cells import SLACK, Boxes, C, Cells, Meet, T, cluster, most_cells, most_within, sort_into_cells
+from .cells import SLACK, C, Cells, Layout, Meet, T, cluster, flat_layout, most_cells, most_within
 from .scene import Camera
 from .vec import Vec, cross, dot, norm, unit, vec, where
 
@@ -49,6 +49,11 @@ class View(eqx.Module):
         return jax.tree.map(lambda plane: untiled(plane, shape), state)
 
 
+def tiles_in(size: tuple[int, int]) -> int:
+    """How many tiles there are in a picture of a width and height in pixels."""
+    return math.prod(-(-n // TILE) for n in size)
+
+
 def tiles(plane: Shaped[Array, "rows columns"]) -> Shaped[Array, "tiles pixels"]:
     """A strip's pixels tile by tile; those beyond its border are like the last."""
     rows, columns = (-n % TILE for n in plane.shape)
@@ -66,29 +71,22 @@ def untiled(
     return wide.reshape(down * TILE, across * TILE)[: shape[0], : shape[1]]
 
 
-def view(center: Vec, radius: Plane, camera: Camera, size: tuple[int, int]) -> View:
-    """The lists of a picture of `size` (width, height) in pixels."""
-    frame, pitch = view_frame(camera), camera.window / size[1]
-    to_center = center - frame.eye
-    eps = jnp.finfo(radius.dtype).eps
-    radius_ = radius + (SLACK * eps) * norm(to_center)
+def layout_of_view(center: Vec, radius: Plane, camera: Camera, size: tuple[int, int]) -> Layout:
+    """Where spheres are in the tiles of a picture of `size` (width, height) in pixels."""
+    frame, scale = view_frame(camera), camera.distance / (camera.window / size[1])
+    to_center, slack = center - frame.eye, SLACK * jnp.finfo(radius.dtype).eps
+    radius = radius + norm(to_center) * slack
     along = dot(to_center, frame.forward)
     low, high = [], []
     for side, pixels in ((frame.right, size[0]), (-frame.up, size[1])):
-        left, right = tangents(dot(to_center, side), along, radius_)
-        scale, middle = camera.distance / pitch, pixels / 2
-        tiles_ = -(-pixels // TILE)
-        left = ((left * scale + middle) - SLACK * eps * pixels) / TILE
-        right = ((right * scale + middle) + SLACK * eps * pixels) / TILE
-        seen = (left < tiles_) & (right > 0)
-        left, right = jnp.maximum(left, 0), jnp.minimum(right, tiles_)
-        low.append(jnp.where(seen, left, 1))
-        high.append(jnp.where(seen, right, 0))
-    counts = [-(-n // TILE) for n in size]
-    boxes = Boxes(tuple(low), tuple(high))
-    most = math.prod(counts)
-    cells = sort_into_cells(center, radius, boxes, jnp.asarray(counts, radius.dtype), most)
-    return View(cells)
+        left, right = tangents(dot(to_center, side), along, radius)
+        left = (left * scale + (pixels / 2 - slack * pixels)) / TILE
+        right = (right * scale + (pixels / 2 + slack * pixels)) / TILE
+        border = pixels / TILE
+        seen = (left < border) & (right > 0)
+        low.append(jnp.where(seen, jnp.maximum(left, 0), 1))
+        high.append(jnp.where(seen, jnp.minimum(right, border), 0))
+    return flat_layout(low, high, [-(-n // TILE) for n in size], step=2.0)
 
 
 def tangents(x: Plane, z: Plane, radius: Plane) -> tuple[Plane, Plane]:
@@ -138,13 +136,6 @@ class Lamp(eqx.Module):
         return jax.tree.map(lambda plane: plane.reshape(shape), state)
 
 
-def lamp(center: Vec, radius: Plane, light: Vec) -> Lamp:
-    """The lists of a light."""
-    chart = chart_of(center, radius, light)
-    boxes, size = chart.boxes(center, radius), jnp.full(2, chart.cells, radius.dtype)
-    return Lamp(chart, sort_into_cells(center, radius, boxes, size, chart.cells**2, step=2**0.5))
-
-
 class Chart(eqx.Module):
     """A flat picture of all directions from a light: cells count from 0 to `cells` along x and y.
 
@@ -187,7 +178,7 @@ class Chart(eqx.Module):
         scale = jnp.where(ahead, 1, 1 - w.z) / jnp.where(bottom > 0, bottom, 1)
         return w.x * scale, w.y * scale
 
-    def boxes(self, center: Vec, radius: Plane) -> Boxes:
+    def layout(self, center: Vec, radius: Plane) -> Layout:
         """Where spheres are on the chart: a cap of angular radius a around u is a circle around
         (u.x, u.y) / (u.z + cos a) of radius sin a / (u.z + cos a).
         """
@@ -206,7 +197,7 @@ class Chart(eqx.Module):
             r = r + (SLACK * jnp.finfo(r.dtype).eps) * (jnp.abs(x) + r) / bottom
             low.append(jnp.where(whole, 0, self._cell(x - r, axis)))
             high.append(jnp.where(whole, self.cells, self._cell(x + r, axis)))
-        return Boxes(tuple(low), tuple(high))
+        return flat_layout(low, high, [self.cells] * 2, step=2**0.5)
 
     def _cell(self, x: Plane, axis: int) -> Plane:
         """From the projection's coordinates to cells: evenly amid the spheres, and beyond that the

@@ -16,7 +16,7 @@ from jax import lax
 
 from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
-from .cells import Boxes, C, Cells, Meet, T, cluster, most_within, sort_into_cells
+from .cells import C, Cells, Layout, Meet, T, cluster, most_within
 from .phases import keep, until_done
 from .vec import Vec
 
@@ -103,25 +103,32 @@ def _columns(box: Ids) -> list[Ids]:
     return [(box >> shift) & ((1 << BITS) - 1) for shift in (0, BITS, 2 * BITS)]
 
 
-def grid(center: Vec, radius: Plane) -> Grid:
-    """The lists of boxes of space."""
-    group, most = cluster(center, radius), 2 * radius.shape[0]
+def layout_of_grid(center: Vec, radius: Plane) -> tuple[Vec, Scalar, Layout]:
+    """A corner of the grid, the side of its finest boxes, and where spheres are in it."""
+    group, most = cluster(center, radius), most_boxes(radius.shape[0])
     most_of = most_within(_parts(group.some))
     axes = [(x, *within) for x, within in zip(_parts(center), most_of, strict=True)]
-    # boxes are cubes, and there are as many as there is room for, of a flat cluster too
+    # boxes are cubes, and about as many as there may be, of a flat cluster too
     spreads = [spread for _, _, spread in axes]
     largest = functools.reduce(jnp.maximum, spreads)
     thin = [jnp.maximum(s / largest, 1 / most) for s in spreads]
-    side = 2 * largest * jnp.cbrt(math.prod(thin) / most)
+    side = 2 * largest * jnp.cbrt(math.prod(thin) * (2 / most))
+    # no more along an axis than there are numbers for
+    side = jnp.maximum(side, largest * 2.0 ** (1 - BITS))
     low = [middle - spread for _, middle, spread in axes]
     reach = radius + group.slack
-    boxes = Boxes(
-        tuple((x - reach - a) / side for (x, _, _), a in zip(axes, low)),
-        tuple((x + reach - a) / side for (x, _, _), a in zip(axes, low)),
+    layout = Layout(
+        tuple((x - reach - a) / side for (x, _, _), a in zip(axes, low, strict=True)),
+        tuple((x + reach - a) / side for (x, _, _), a in zip(axes, low, strict=True)),
+        jnp.stack([2 * spread / side for spread in spreads]),
+        jnp.asarray(2**0.5, side.dtype),
     )
-    size = jnp.stack([2 * spread / side for spread in spreads])
-    cells = sort_into_cells(center, radius, boxes, size, 2 * most, step=2**0.25)
-    return Grid(Vec(*low), side, cells)
+    return Vec(*low), side, layout
+
+
+def most_boxes(spheres: int) -> int:
+    """How many boxes there may be."""
+    return 4 * spheres
 
 
 def _parts(v: Vec) -> tuple[Plane, Plane, Plane]:

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .charts import Lamp, View, lamp, view
-from .grid import Grid, grid
+from .cells import sort_into_cells
+from .charts import Lamp, View, chart_of, layout_of_view, tiles_in
+from .grid import Grid, layout_of_grid, most_boxes
 from .needs import Needs
 from .scene import Scene
 from .vec import Vec, vec
@@ -46,10 +47,24 @@ def lists(scene: Scene, size: tuple[int, int], needs: Needs, bounces: int) -> Li
     if not FEW < len(scene.spheres) < MOST - scene.objects:
         return None
     scene = lax.stop_gradient(scene)
-    center, radius = Vec(*scene.spheres.center.T), scene.spheres.radius
-    lamps = None
+    center, radius, lights = Vec(*scene.spheres.center.T), scene.spheres.radius, scene.lights
+    stack = lambda layout: jax.tree.map(lambda x: x[None], layout)
+    layouts, most = [stack(layout_of_view(center, radius, scene.camera, size))], tiles_in(size)
+    charts = None
     if needs.shadows:
-        lamps = lax.map(lambda light: lamp(center, radius, vec(light)), scene.lights.position)
-    from_anywhere = grid(center, radius) if bounces else None
-    from_eye = view(center, radius, scene.camera, size)
-    return Lists(from_eye, scene.lights.position, lamps, from_anywhere)
+        charts = lax.map(lambda light: chart_of(center, radius, vec(light)), lights.position)
+        layouts.append(lax.map(lambda chart: chart.layout(center, radius), charts))
+        most = max(most, charts.cells**2)
+    if bounces:
+        *place, layout = layout_of_grid(center, radius)
+        layouts.append(stack(layout))
+        most = max(most, most_boxes(len(scene.spheres)))
+    layouts = jax.tree.map(lambda *x: jnp.concatenate(x), *layouts)
+    cells = sort_into_cells(center, radius, layouts, most)
+    some = lambda which: jax.tree.map(lambda x: x[which], cells)
+    return Lists(
+        View(some(0)),
+        lights.position,
+        Lamp(charts, some(slice(1, 1 + len(lights)))) if needs.shadows else None,
+        Grid(*place, some(-1)) if bounces else None,
+    )

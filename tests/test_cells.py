@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spheretrace_jax import cells as cells_module
-from spheretrace_jax.cells import Boxes, sort_into_cells
+from spheretrace_jax.cells import Layout, sort_into_cells
 from spheretrace_jax.vec import Vec
 
 SIZE = (13.0, 7, 4)
@@ -18,8 +18,12 @@ def boxes(n, largest, seed=0):
 
 def sorted_boxes(low, high):
     center, radius = Vec(*jnp.asarray(low.T)), jnp.ones(len(low))
-    box = Boxes(tuple(jnp.asarray(low.T)), tuple(jnp.asarray(high.T)))
-    return jax.jit(lambda: sort_into_cells(center, radius, box, jnp.array(SIZE), 400))()
+    layout = Layout(
+        tuple(jnp.asarray(low.T)), tuple(jnp.asarray(high.T)), jnp.array(SIZE), jnp.array(2.0)
+    )
+    both = jax.tree.map(lambda x: jnp.stack([x, x]), layout)
+    cells = jax.jit(lambda: sort_into_cells(center, radius, both, 400))()
+    return jax.tree.map(lambda x: x[1], cells)
 
 
 def listed(cells, *place):
