@@ -16,7 +16,18 @@ from jaxtyping import Array, Int, Shaped
 
 from ._types import Mask, Plane, Scalar
 from .camera import Frame, view_frame
-from .cells import SLACK, C, Cells, Layout, Meet, T, cluster, flat_layout, most_cells, most_within
+from .cells import (
+    SLACK,
+    C,
+    Cells,
+    Cluster,
+    Layout,
+    Meet,
+    T,
+    flat_layout,
+    most_cells,
+    most_within,
+)
 from .scene import Camera
 from .vec import Vec, cross, dot, norm, unit, vec, where
 
@@ -216,19 +227,18 @@ BEHIND = 1e-3
 # This part of a chart is drawn evenly.
 AMID = 7 / 8
 
-def chart_of(center: Vec, radius: Plane, light: Vec) -> Chart:
-    """The chart of a light."""
-    group = cluster(center, radius)
-    near = group.middle
+def chart_of(light: Vec, spheres: int, group: Cluster) -> Chart:
+    """The chart of a light. **Arguments:** `spheres`, `group`: how many there are, and where."""
+    near, dtype = group.middle, light.x.dtype
     forward = unit(near - light)
-    forward = where(dot(forward, forward) > 0.5, forward, Vec(*jnp.eye(3, dtype=radius.dtype)[0]))
+    forward = where(dot(forward, forward) > 0.5, forward, Vec(*jnp.eye(3, dtype=dtype)[0]))
     flat = jnp.abs(forward.x) > 0.5
     zero, one = jnp.zeros_like(forward.x), jnp.ones_like(forward.x)
     right = unit(cross(forward, where(flat, Vec(zero, one, zero), Vec(one, zero, zero))))
     up = cross(right, forward)
     offset = near - light
     offset = Vec(dot(offset, right), dot(offset, up), dot(offset, forward))
-    cells = int(math.sqrt(most_cells(radius.shape[0])))
+    cells = int(math.sqrt(most_cells(spheres)))
     chart = Chart(near, offset, right, up, forward, (zero, zero), (one, one), group.slack, cells)
-    middle, spread = zip(*most_within(chart.project(group.some)), strict=True)
-    return eqx.tree_at(lambda c: (c.middle, c.spread), chart, (middle, spread))
+    within = most_within(chart.project(group.some))
+    return eqx.tree_at(lambda c: (c.middle, c.spread), chart, tuple(map(tuple, within)))

@@ -16,7 +16,7 @@ from jax import lax
 
 from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
-from .cells import C, Cells, Layout, Meet, T, cluster, most_within
+from .cells import C, Cells, Cluster, Layout, Meet, T
 from .phases import keep, until_done
 from .vec import Vec
 
@@ -103,27 +103,27 @@ def _columns(box: Ids) -> list[Ids]:
     return [(box >> shift) & ((1 << BITS) - 1) for shift in (0, BITS, 2 * BITS)]
 
 
-def layout_of_grid(center: Vec, radius: Plane) -> tuple[Vec, Scalar, Layout]:
-    """A corner of the grid, the side of its finest boxes, and where spheres are in it."""
-    group, most = cluster(center, radius), most_boxes(radius.shape[0])
-    most_of = most_within(_parts(group.some))
-    axes = [(x, *within) for x, within in zip(_parts(center), most_of, strict=True)]
-    # boxes are cubes, and about as many as there may be, of a flat cluster too
-    spreads = [spread for _, _, spread in axes]
-    largest = functools.reduce(jnp.maximum, spreads)
-    thin = [jnp.maximum(s / largest, 1 / most) for s in spreads]
+def layout_of_grid(center: Vec, radius: Plane, group: Cluster) -> tuple[Vec, Scalar, Layout]:
+    """A corner of the grid, the side of its finest boxes, and where spheres are in it.
+
+    **Arguments:** `group`: where most of the spheres are.
+    """
+    most = most_boxes(radius.shape[0])
+    # boxes are cubes, and half as many as there may be, of a flat cluster too
+    largest = functools.reduce(jnp.maximum, _parts(group.half))
+    thin = [jnp.maximum(half / largest, 1 / most) for half in _parts(group.half)]
     side = 2 * largest * jnp.cbrt(math.prod(thin) * (2 / most))
     # no more along an axis than there are numbers for
     side = jnp.maximum(side, largest * 2.0 ** (1 - BITS))
-    low = [middle - spread for _, middle, spread in axes]
-    reach = radius + group.slack
+    corner, reach = group.middle - group.half, radius + group.slack
+    away = _parts(center - corner)
     layout = Layout(
-        tuple((x - reach - a) / side for (x, _, _), a in zip(axes, low, strict=True)),
-        tuple((x + reach - a) / side for (x, _, _), a in zip(axes, low, strict=True)),
-        jnp.stack([2 * spread / side for spread in spreads]),
+        tuple((x - reach) / side for x in away),
+        tuple((x + reach) / side for x in away),
+        jnp.stack(_parts(group.half * 2)) / side,
         jnp.asarray(2**0.5, side.dtype),
     )
-    return Vec(*low), side, layout
+    return corner, side, layout
 
 
 def most_boxes(spheres: int) -> int:

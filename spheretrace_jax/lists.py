@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .cells import sort_into_cells
+from .cells import cluster, sort_into_cells
 from .charts import Lamp, View, chart_of, layout_of_view, tiles_in
 from .grid import Grid, layout_of_grid, most_boxes
 from .needs import Needs
@@ -50,13 +50,13 @@ def lists(scene: Scene, size: tuple[int, int], needs: Needs, bounces: int) -> Li
     center, radius, lights = Vec(*scene.spheres.center.T), scene.spheres.radius, scene.lights
     stack = lambda layout: jax.tree.map(lambda x: x[None], layout)
     layouts, most = [stack(layout_of_view(center, radius, scene.camera, size))], tiles_in(size)
-    charts = None
+    group, charts = cluster(center, radius), None
     if needs.shadows:
-        charts = lax.map(lambda light: chart_of(center, radius, vec(light)), lights.position)
+        charts = lax.map(lambda light: chart_of(vec(light), len(radius), group), lights.position)
         layouts.append(lax.map(lambda chart: chart.layout(center, radius), charts))
         most = max(most, charts.cells**2)
     if bounces:
-        *place, layout = layout_of_grid(center, radius)
+        *place, layout = layout_of_grid(center, radius, group)
         layouts.append(stack(layout))
         most = max(most, most_boxes(len(scene.spheres)))
     layouts = jax.tree.map(lambda *x: jnp.concatenate(x), *layouts)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as some
 
+from spheretrace_jax.cells import cluster
 from spheretrace_jax.charts import TILE, chart_of, tangents, tiles, untiled
 from spheretrace_jax.vec import Vec, vec
 
@@ -61,7 +62,7 @@ def test_every_ray_that_meets_a_sphere_is_in_its_box(light, dtype):
     radius, light = jnp.asarray(radius, dtype), vec(jnp.asarray(light, dtype))
 
     def places():
-        chart = chart_of(center, radius, light)
+        chart = chart_of(light, n, cluster(center, radius))
         return chart.layout(center, radius), chart.places(point), chart.cells
 
     box, place, cells = jax.jit(places)()
