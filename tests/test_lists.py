@@ -150,12 +150,13 @@ IDS = ["picture", "gradient", "many", "samples"]
 
 def gradient(scene):
     weights = jnp.cos(jnp.arange(3 * SIZE[0] * SIZE[1])).reshape(*SIZE[::-1], 3)
-    return jax.grad(lambda s: jnp.sum(weights * picture(s)))(scene)
+    return jax.grad(lambda s: jnp.sum(weights * picture(s, bounces=0)))(scene)
 
 
 def of_many(scene):
-    lights = scene.lights.position + jnp.array([[[0.0, 0, 0]], [[100, -900, 0]]])
-    lit = lambda light: picture(eqx.tree_at(lambda s: s.lights.position, scene, light))
+    lights = jnp.array([[FAR], [(200.0, -400, 800)]])
+    at = lambda light: eqx.tree_at(lambda s: s.lights.position, scene, light)
+    lit = lambda light: picture(at(light), bounces=0)
     return jax.vmap(lit)(lights)
 
 
@@ -190,8 +191,9 @@ def test_compiling_does_not_depend_on_how_many_spheres_there_are():
 def test_a_light_that_has_no_list_is_looked_at_past_all_spheres():
     scene = cloud()
     world = build_world(scene, lists(scene, SIZE, NEEDS, bounces=0))
-    point = jax.tree.map(lambda x: x[::7], world.balls.center)
-    hit = Hit(jnp.arange(COUNT, dtype=jnp.int32)[::7], jnp.full(point.x.shape, True))
+    point = world.balls.center
+    point = Vec(point.x, point.y, point.z + world.balls.radius)
+    hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))
     light = vec(jnp.array([-300.0, 20, 500]))
     lit = [unoccluded(w, point, hit, light, NEEDS) for w in (world, build_world(scene))]
     np.testing.assert_array_equal(*lit)
