@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from ._types import Ids, Mask, Plane, Scalar
 from .phases import running_sum
-from .vec import Vec, norm
+from .vec import Vec
 
 T = TypeVar("T")
 C = TypeVar("C")

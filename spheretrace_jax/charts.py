@@ -34,6 +34,14 @@ from .vec import Vec, cross, dot, norm, unit, vec, where
 # Tiles of this many pixels along each side.
 TILE = 8
 
+# Spheres nearer than this to the direction opposite to a chart's middle (as 1 minus the cosine of
+# the angle) are everywhere.
+BEHIND = 1e-3
+
+# This part of a chart is drawn evenly.
+AMID = 7 / 8
+
+
 class View(eqx.Module):
     """The spheres of each tile of a picture."""
 
@@ -219,13 +227,6 @@ class Chart(eqx.Module):
         beyond = jnp.sign(x) * (1 - (1 - AMID) / jnp.where(far, jnp.abs(x), 1))
         return (jnp.where(far, beyond, x * AMID) + 1) * (self.cells / 2)
 
-
-# Spheres nearer than this to the direction opposite to a chart's middle (as 1 minus the cosine of
-# the angle) are everywhere.
-BEHIND = 1e-3
-
-# This part of a chart is drawn evenly.
-AMID = 7 / 8
 
 def chart_of(light: Vec, spheres: int, group: Cluster) -> Chart:
     """The chart of a light. **Arguments:** `spheres`, `group`: how many there are, and where."""

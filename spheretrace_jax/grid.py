@@ -49,7 +49,8 @@ class Grid(eqx.Module):
         shape, cells = alive.shape, self.cells
         flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
         rays, state, alive, ray = jax.tree.map(flat, (rays, state, alive, ray))
-        start = [(x - low) / self.side for x, low in zip(_parts(ray.origin), _parts(self.low))]
+        low = jax.tree.map(flat, self.low)
+        start = [x / self.side for x in _parts(ray.origin - low)]
         slope = [x / self.side for x in _parts(ray.direction)]
         state = lax.fori_loop(0, cells.start[1], lambda k, s: meet(rays, *cells.row(k), s), state)
 
@@ -85,7 +86,8 @@ class Grid(eqx.Module):
             exits.append(jnp.where(last, jnp.inf, away))
             ahead.append(jnp.where(up, 1, -1).astype(jnp.int32))
         exit_ = functools.reduce(jnp.minimum, exits)
-        moved = [c + jnp.where(x == exit_, a, 0) for c, x, a in zip(columns, exits, ahead)]
+        steps = zip(columns, exits, ahead, strict=True)
+        moved = [c + jnp.where(x == exit_, a, 0) for c, x, a in steps]
         ends = (exit_ == jnp.inf) | (reach <= exit_)
         return jnp.where(ends, -1, _packed(moved))
 

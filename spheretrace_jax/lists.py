@@ -16,8 +16,9 @@ from .needs import Needs
 from .scene import Scene
 from .vec import Vec, vec
 
-# Of at most so many spheres each ray looks at all.
-FEW = 128
+# Of at most so many spheres each ray looks at all. The lists are faster from 60 on (512 x 512, one
+# light: 60 spheres 20 against 32 ms, 125 15 against 89), but take longer to compile.
+FEW = 100
 
 # The numbers of objects have to be exact in float32, beside a distance in the same complex number.
 MOST = 1 << 24

@@ -256,28 +256,26 @@ def until_done(
     alive: Callable[[C, T], Bool[Array, " n"]],
     context: C,
     state: T,
-    chunks: int = CHUNKS,
 ) -> T:
     """Repeats a step for n rays until none of them is alive.
 
     Rays end after very different numbers of steps, and a loop over all of them takes as many as
     the longest one. So they go on in chunks of those that are alive, each until few of its rays
-    are (CHUNKGAIN).
+    are.
 
     **Arguments:** `step`: from what rays are given and their states to their next states; those of
     rays that are done must not change. `context`, `state`: pytrees of arrays of shape `(n, ...)`.
-    `chunks`: how many the rays would fill; 1 to keep them together.
     """
     n = jax.tree.leaves(state)[0].shape[0]
     count = lambda context, state: jnp.sum(alive(context, state), dtype=jnp.int32)
 
-    def steps(context: C, state: T, few: Scalar | int) -> T:
+    def steps(context: C, state: T, few: Index) -> T:
         go_on = lambda state: count(context, state) > few
         return lax.while_loop(go_on, partial(step, context), state)
 
-    if chunks == 1 or n < chunks * LEAST_CHUNK:
+    if n < CHUNKS * LEAST_CHUNK:
         return steps(context, state, 0)
-    size = -(-n // chunks)
+    size = -(-n // CHUNKS)
     number = jnp.arange(size, dtype=jnp.int32)
 
     def go_on_with_some(state: T) -> T:

@@ -101,7 +101,7 @@ def _pack(best: Best) -> Packed:
 
 
 def _seen(
-    ray: Ray, leaving: Hit | None, needs: Needs, center: Vec, radius: Plane, i: Ids
+    ray: Ray, leaving: Hit | None, needs: Needs, center: Vec, radius: Plane, i: Ids | Index
 ) -> tuple[Plane, Mask | None]:
     """How far along the rays a sphere is, and which of them skip it."""
     near, far = ray_sphere(ray.origin, ray.direction, center, radius)
@@ -153,7 +153,7 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
 
     An occluder beyond the light casts no shadow. Points on the outside of a sphere are not
     shadowed by it here (where N.L <= 0 they are unlit anyway); on its inside they are if the light
-    is outside.
+    is outside. Of points that lie on no object, -1, nothing is said.
 
     **Arguments:** `point`: surface points, with `hit` the objects they lie on. `light`: the
     light's position, a `Vec` of scalars.
@@ -167,7 +167,7 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
     to_light = light - point
     square = dot(to_light, to_light)
 
-    def behind(rays: tuple, center: Vec, radius: Plane, i: Ids, blocked: Mask) -> Mask:
+    def behind(rays: tuple, center: Vec, radius: Plane, i: Ids | Index, blocked: Mask) -> Mask:
         point, to_light, square, hit = rays
         to_center = center - point
         # The cross product needs no division and no root, either of which would split the loop
@@ -197,10 +197,9 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
         def meet(rays: tuple, center: Vec, radius: Plane, i: Ids, blocked: Mask) -> Mask:
             return behind(rays, center * scale, radius * scale, i, blocked)
 
-        some = jnp.full(square.shape, True) if hit.id.ndim == 0 else hit.id >= 0
         rays = point, to_light, square, Hit(hit.id.astype(jnp.int32), hit.inside)
         blocked = jnp.full(square.shape, False)
-        return lamp.over(nearby, some, meet, rays, blocked, lambda blocked: blocked)
+        return lamp.over(nearby, hit.id >= 0, meet, rays, blocked, lambda blocked: blocked)
 
     def behind_spheres() -> Mask:
         if world.lists is None or world.lists.lamps is None:

@@ -47,7 +47,9 @@ def test_tiles_hold_every_pixel_once(shape):
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-@pytest.mark.parametrize("light", [(0, 0, 0), (1, 2, 3), (0, 0, 30), (1e3, -5e3, 2e3), (-1e6, 0, 1)])
+@pytest.mark.parametrize(
+    "light", [(0, 0, 0), (1, 2, 3), (0, 0, 30), (1e3, -5e3, 2e3), (-1e6, 0, 1)]
+)
 def test_every_ray_that_meets_a_sphere_is_in_its_box(light, dtype):
     rng = np.random.default_rng(0)
     n = 4000

@@ -11,7 +11,7 @@ import pytest
 import spheretrace_jax as st
 from spheretrace_jax.camera import Ray, pixel_rays
 from spheretrace_jax.lists import lists
-from spheretrace_jax.vec import Vec, reflect, vec
+from spheretrace_jax.vec import Vec, reflect, unit, vec
 from spheretrace_jax.visibility import nearest, unoccluded
 from spheretrace_jax.world import Hit, build_world, surface_at
 
@@ -96,7 +96,8 @@ def looked_at(scene, world):
     hit = nearest(strip, ray, NEEDS)
     surface = surface_at(world, ray, hit, NEEDS)
     lit = unoccluded(world, surface.point, hit, vec(scene.lights.position[0]), NEEDS)
-    mirrored = nearest(world, Ray(surface.point, reflect(ray.direction, surface.normal)), NEEDS, hit)
+    direction = reflect(ray.direction, surface.normal)
+    mirrored = nearest(world, Ray(surface.point, direction), NEEDS, hit)
     on = nearest(world, Ray(surface.point, ray.direction), NEEDS, Hit(hit.id, hit.inside & False))
     some = hit.id >= 0
     none = lambda h: Hit(jnp.where(some, h.id, -1), h.inside & some)
@@ -171,6 +172,18 @@ def test_pictures_and_gradients_are_those_without_lists(draw, monkeypatch):
     listed, plain = draw(MIRRORS), without_lists(monkeypatch, draw, MIRRORS)
     for a, b in zip(jax.tree.leaves(listed), jax.tree.leaves(plain), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_rays_from_anywhere_that_go_on_in_chunks_meet_the_same():
+    scene, rng = cloud(), np.random.default_rng(0)
+    origin, direction = (Vec(*jnp.asarray(rng.standard_normal((3, 100, 90)))) for _ in range(2))
+    ray = Ray(origin * 100, unit(direction))
+    nobody = Hit(jnp.full((100, 90), COUNT, jnp.int16), jnp.full((100, 90), False))
+    found = by_lists(scene, lambda _, world: nearest(world, ray, NEEDS, nobody))
+    expected = plainly(scene, lambda _, world: nearest(world, ray, NEEDS, nobody))
+    np.testing.assert_array_equal(found.id, expected.id)
+    np.testing.assert_array_equal(found.inside, expected.inside)
+    assert (found.id < 0).any() and len(np.unique(found.id)) > 100 and found.inside.any()
 
 
 def test_the_last_of_very_many_is_seen():
