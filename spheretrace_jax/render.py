@@ -71,7 +71,7 @@ def draw(scene: Scene, options: Options) -> Picture:
 def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
     """The mean of each pixel's samples, and in which pixels there may be edges."""
     size = options.width, options.height
-    world = build_world(scene, lists(scene, size, options.needs, options.bounces))
+    world = build_world(scene).listed(lists(scene, size, options.needs, options.bounces))
     k = options.samples
     places = sample_places(scene, options)
     if k == 1:

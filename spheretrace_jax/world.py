@@ -96,6 +96,10 @@ class World(eqx.Module):
     lists: Lists | None = None  #: where to look for spheres if there are many
     own: Own | None = None  #: what each pixel sees in place of the tables, for Jacobians
 
+    def listed(self, lists: Lists | None) -> "World":
+        """The world with the lists of a picture, if it has any."""
+        return eqx.tree_at(lambda w: w.lists, self, lists, is_leaf=lambda x: x is None)
+
     def of_strip(self, first_row: Int[Array, ""]) -> "World":
         """The world seen by a strip of full rows of pixels from one on."""
         if self.lists is None:
@@ -134,8 +138,8 @@ def _columns(array: Float[Array, "rows 3"]) -> Vec:
     return Vec(array[:, 0], array[:, 1], array[:, 2])
 
 
-def build_world(scene: Scene, lists: Lists | None = None) -> World:
-    """Lays out a scene for tracing. **Arguments:** `lists`: those of the picture, if any."""
+def build_world(scene: Scene) -> World:
+    """Lays out a scene for tracing."""
     s, p, back = scene.spheres, scene.planes, scene.back_plane
     flats = Flat(_columns(p.point), unit(_columns(p.normal)))
     table = Material(_columns(p.color), p.ka, p.kd, p.ks, p.exponent, p.kgr, jnp.zeros_like(p.ka))
@@ -154,7 +158,6 @@ def build_world(scene: Scene, lists: Lists | None = None) -> World:
         materials=jax.tree.map(lambda a, b: jnp.concatenate([a, b]), material, table),
         checkers=checkers,
         window=scene.camera.window,
-        lists=lists,
     )
 
 

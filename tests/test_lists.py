@@ -77,7 +77,7 @@ NEEDS = st.Needs(planes=False)
 
 
 def by_lists(scene, of):
-    return of(scene, build_world(scene, lists(scene, SIZE, NEEDS, bounces=1)))
+    return of(scene, build_world(scene).listed(lists(scene, SIZE, NEEDS, bounces=1)))
 
 
 def plainly(scene, of):
@@ -203,7 +203,7 @@ def test_compiling_does_not_depend_on_how_many_spheres_there_are():
 
 def test_a_light_that_has_no_list_is_looked_at_past_all_spheres():
     scene = cloud()
-    world = build_world(scene, lists(scene, SIZE, NEEDS, bounces=0))
+    world = build_world(scene).listed(lists(scene, SIZE, NEEDS, bounces=0))
     point = world.balls.center
     point = Vec(point.x, point.y, point.z + world.balls.radius)
     hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))
