@@ -9,8 +9,10 @@ from jaxtyping import Array, Float, Int
 
 from ._types import Highlight, Ids, Mask, Picture, Plane
 from .camera import Ray, pixel_rays
+from .charts import TILE
 from .edges import pixel_cones
 from .layers import layered
+from .lists import lists
 from .needs import Needs
 from .options import Options, options
 from .paths import radiance
@@ -91,7 +93,9 @@ def _rows(scene: Scene, options: Options) -> Float[Array, "rows width 3"]:
 
 def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
     """The mean of each pixel's samples, and in which pixels there may be edges."""
-    world, k = build_world(scene), options.samples
+    size = options.width, options.height
+    known = lists(scene, size, options.needs, options.bounces, options.rows)
+    world, k = build_world(scene).listed(known), options.samples
     places = sample_places(scene, options)
     if k == 1:
         return _sample(scene, world, options, places[0][0], places[1][0])
@@ -199,7 +203,8 @@ def _sample(
     count = options.rows.count
     strips = -(-width * count // STRIP_PIXELS)
     rows = -(-count // strips)
-
+    if world.lists is not None:
+        rows = -(-rows // TILE) * TILE
     colors = options.needs.colors
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
@@ -212,7 +217,7 @@ def _sample(
         if options.antialias:
             side = scene.camera.window / (height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
-        color, edge = radiance(scene, world, ray, options, cone=cone)
+        color, edge = radiance(scene, world.of_strip(first_row), ray, options, cone=cone)
         return color if colors else color.x, edge
 
     first_rows = jnp.arange(0, count, rows, dtype=jnp.int32)

@@ -9,14 +9,22 @@ import functools
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Complex
 
-from ._types import Ids, Mask, Plane, Scalar
+from ._types import Ids, Index, Mask, Plane, Scalar
 from .camera import Ray
+from .charts import Lamp
 from .intersect import ray_plane, ray_sphere
 from .needs import Needs
 from .phases import fetch, materialise, over, remember
 from .vec import Vec, cross, dot
 from .world import Ball, Flat, Hit, World
+
+Best = tuple[Plane, Ids]
+"""How far the nearest object is, and its number."""
+
+Packed = Complex[Array, "*#pixels"]
+"""The same two as one complex number."""
 
 
 def row(table, i):
@@ -36,35 +44,74 @@ def nearest(world: World, ray: Ray, needs: Needs, leaving: Hit | None = None) ->
     first.
     """
     world, ray, leaving = jax.lax.stop_gradient((world, ray, leaving))
-    dtype, shape = ray.direction.x.dtype, ray.direction.x.shape
-
-    def sphere(i, best):
-        ball = row(world.balls, i)
-        near, far = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
-        own = None if leaving is None else leaving.id == i
-        if not needs.inside:
-            return _nearer(best, near, i, own)
-        t = jnp.where(near > 0, near, far)
-        if leaving is None or own is None:
-            return _nearer(best, t, i, None)
-        t = jnp.where(own & leaving.inside, far, t)
-        return _nearer(best, t, i, own & ~leaving.inside)
 
     def plane(i, best):
         flat = row(world.flats, i)
         t = ray_plane(ray.origin, ray.direction, flat.point, flat.normal)
         number = i + world.spheres
-        return _nearer(best, t, number, None if leaving is None else leaving.id == number)
+        return _nearer(best, t, None if leaving is None else leaving.id == number, number)
 
     def phase():
-        best = jnp.full(shape, jnp.inf, dtype), jnp.full(shape, -1, jnp.int32)
-        best = over(world.spheres, sphere, best)
+        best = _nearest_sphere(world, ray, needs, leaving)
         if needs.planes:
             best = over(world.planes, plane, best)
         return best[1].astype(world.id_type)
 
     number = remember(materialise(phase, world.window))
     return hit_of(world, ray, number, needs, leaving)
+
+
+def _nearest_sphere(world: World, ray: Ray, needs: Needs, leaving: Hit | None) -> Best:
+    dtype, shape, lists = ray.direction.x.dtype, ray.direction.x.shape, world.lists
+    best = jnp.full(shape, jnp.inf, dtype), jnp.full(shape, -1, jnp.int32)
+    in_strip = lists is not None and leaving is None and lists.view.row is not None
+    if lists is None or (not in_strip and lists.grid is None):
+
+        def meet(i: Index, best: Best) -> Best:
+            ball = row(world.balls, i)
+            return _nearer(best, *_seen(ray, leaving, needs, ball.center, ball.radius, i), i)
+
+        return over(world.spheres, meet, best)
+
+    if leaving is not None:
+        leaving = Hit(leaving.id.astype(jnp.int32), leaving.inside)
+
+    # the state packed: each array of it is computed by a loop of its own (4.5 against 2.2 ms)
+    def meet_listed(rays: tuple, center: Vec, radius: Plane, i: Ids, best: Packed) -> Packed:
+        direction, origin, leaving = rays
+        ray_ = Ray(ray.origin if origin is None else origin, direction)
+        t, skip = _seen(ray_, leaving, needs, center, radius, i)
+        now = best.real, best.imag.astype(jnp.int32)
+        return _pack(_nearer(now, t, skip, i, in_order=False))
+
+    packed = _pack(best)
+    if lists.grid is None or in_strip:
+        never = lambda best: jnp.full(best.shape, False)
+        packed = lists.view.over((ray.direction, None, None), meet_listed, packed, never)
+    else:
+        whole = lambda x: jnp.broadcast_to(x, shape)
+        rays = ray.direction, jax.tree.map(whole, ray.origin), leaving
+        alive = jnp.full(shape, True) if leaving is None else leaving.id >= 0
+        packed = lists.grid.over(ray, alive, meet_listed, rays, packed, lambda best: best.real)
+    return packed.real, packed.imag.astype(jnp.int32)
+
+
+def _pack(best: Best) -> Packed:
+    return jax.lax.complex(best[0], best[1].astype(best[0].dtype))
+
+
+def _seen(
+    ray: Ray, leaving: Hit | None, needs: Needs, center: Vec, radius: Plane, i: Ids | Index
+) -> tuple[Plane, Mask | None]:
+    """How far along the rays a sphere is, and which of them skip it."""
+    near, far = ray_sphere(ray.origin, ray.direction, center, radius)
+    own = None if leaving is None else leaving.id == i
+    if not needs.inside:
+        return near, own
+    t = jnp.where(near > 0, near, far)
+    if leaving is None or own is None:
+        return t, None
+    return jnp.where(own & leaving.inside, far, t), own & ~leaving.inside
 
 
 def hit_of(world: World, ray: Ray, number: Ids, needs: Needs, leaving: Hit | None = None) -> Hit:
@@ -75,8 +122,17 @@ def hit_of(world: World, ray: Ray, number: Ids, needs: Needs, leaving: Hit | Non
     return Hit(number, materialise(lambda: _from_inside(world, ray, number, leaving), world.window))
 
 
-def _nearer(best: tuple[Plane, Ids], t: Plane, number, skip: Mask | None) -> tuple[Plane, Ids]:
-    closer = (t < best[0]) & (t > 0)
+def _nearer(
+    best: Best, t: Plane, skip: Mask | None, number: Ids | Index, in_order: bool = True
+) -> Best:
+    """The nearest object so far or another one, whichever is nearer.
+
+    **Arguments:** `in_order`: whether all objects so far have smaller numbers.
+    """
+    closer = t < best[0]
+    if not in_order:
+        closer = closer | (t == best[0]) & (number < best[1])
+    closer = closer & (t > 0)
     if skip is not None:
         closer = closer & ~skip
     return jnp.where(closer, t, best[0]), jnp.where(closer, number, best[1])
@@ -97,29 +153,30 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
 
     An occluder beyond the light casts no shadow. Points on the outside of a sphere are not
     shadowed by it here (where N.L <= 0 they are unlit anyway); on its inside they are if the light
-    is outside.
+    is outside. Of points that lie on no object, -1, nothing is said.
 
     **Arguments:** `point`: surface points, with `hit` the objects they lie on. `light`: the
     light's position, a `Vec` of scalars.
     """
     world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
     scale = near_one(world, light)
-    balls = Ball(world.balls.center * scale, world.balls.radius * scale)
     flats = Flat(world.flats.point * scale, world.flats.normal)
+    balls = Ball(world.balls.center * scale, world.balls.radius * scale)
+    nearby, light_ = point, light
     point, light = point * scale, light * scale
     to_light = light - point
     square = dot(to_light, to_light)
 
-    def behind_sphere(i, blocked):
-        ball = row(balls, i)
-        to_center = ball.center - point
+    def behind(rays: tuple, center: Vec, radius: Plane, i: Ids | Index, blocked: Mask) -> Mask:
+        point, to_light, square, hit = rays
+        to_center = center - point
         # The cross product needs no division and no root, either of which would split the loop
         # into several kernels: |PC x PL|^2 = |PC|^2 |PL|^2 sin^2.
         off = cross(to_center, to_light)
-        square_radius = ball.radius * ball.radius
+        square_radius = radius * radius
         close = dot(off, off) < square_radius * square
         along = dot(to_center, to_light)
-        from_light = light - ball.center
+        from_light = light - center
         light_inside = dot(from_light, from_light) < square_radius
         between = (along > 0) & (along < square)
         if not needs.inside:
@@ -129,13 +186,33 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
         crossed = jnp.where(inside | light_inside, inside != light_inside, close & between & ~own)
         return blocked | crossed
 
+    def behind_sphere(i, blocked):
+        ball = row(balls, i)
+        return behind((point, to_light, square, hit), ball.center, ball.radius, i, blocked)
+
+    def behind_any() -> Mask:
+        return over(world.spheres, behind_sphere, jnp.full(square.shape, False))
+
+    def behind_listed(lamp: Lamp) -> Mask:
+        def meet(rays: tuple, center: Vec, radius: Plane, i: Ids, blocked: Mask) -> Mask:
+            return behind(rays, center * scale, radius * scale, i, blocked)
+
+        rays = point, to_light, square, Hit(hit.id.astype(jnp.int32), hit.inside)
+        blocked = jnp.full(square.shape, False)
+        return lamp.over(nearby, hit.id >= 0, meet, rays, blocked, lambda blocked: blocked)
+
+    def behind_spheres() -> Mask:
+        if world.lists is None or world.lists.lamps is None:
+            return behind_any()
+        known, lamp = world.lists.lamp(light_)
+        return jax.lax.cond(known, behind_listed, lambda _: behind_any(), lamp)
+
     def behind_plane(i, blocked):
         flat = row(flats, i)
         sides = dot(point - flat.point, flat.normal) * dot(light - flat.point, flat.normal)
         return blocked | (sides < 0) & (hit.id != i + world.spheres)
 
-    blocked = jnp.full(square.shape, False)
-    blocked = over(world.spheres, behind_sphere, blocked)
+    blocked = behind_spheres()
     if needs.planes:
         blocked = over(world.planes, behind_plane, blocked)
     return ~blocked

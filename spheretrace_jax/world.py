@@ -9,11 +9,12 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray, view_frame
 from .intersect import perpendicular
+from .lists import Lists
 from .needs import Needs
 from .phases import fetch, fetch_own, smallest_int
 from .scene import Scene
@@ -93,7 +94,18 @@ class World(eqx.Module):
     materials: Material
     checkers: Checker
     window: Scalar
+    lists: Lists | None = None  #: where to look for spheres if there are many
     own: Own | None = None  #: what each pixel sees in place of the tables, for Jacobians
+
+    def listed(self, lists: Lists | None) -> "World":
+        """The world with the lists of a picture, if it has any."""
+        return eqx.tree_at(lambda w: w.lists, self, lists, is_leaf=lambda x: x is None)
+
+    def of_strip(self, first_row: Int[Array, ""]) -> "World":
+        """The world seen by a strip of full rows of pixels from one on."""
+        if self.lists is None:
+            return self
+        return eqx.tree_at(lambda w: w.lists, self, self.lists.of_strip(first_row))
 
     @property
     def spheres(self) -> int:

@@ -16,9 +16,9 @@ FILES = {
 }
 
 CORE = """
-    _types appearance camera cost coverage edges errors halfplane intersect layers needs options
-    outlines paths peel penumbra phases possible render scene shading sharding texture varying vec
-    visibility world
+    _types appearance camera cells charts cost coverage edges errors grid halfplane intersect layers
+    lists needs options outlines paths peel penumbra phases possible render scene shading sharding
+    texture varying vec visibility world
 """.split()
 OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")

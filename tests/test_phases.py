@@ -11,7 +11,9 @@ from spheretrace_jax.phases import (
     materialise_pair,
     nth_marked,
     over,
+    running_sum,
     smallest_int,
+    until_done,
 )
 
 
@@ -98,3 +100,25 @@ def test_filling_has_the_derivatives_of_a_selection():
     np.testing.assert_allclose(jax.grad(ours)(x), jax.grad(plain)(x), rtol=1e-14)
     along = jnp.ones(n)
     np.testing.assert_allclose(jax.jvp(ours, (x,), (along,))[1], jax.grad(plain)(x).sum())
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 1000])
+def test_running_sums_are_those_of_numpy(n):
+    numbers = np.random.default_rng(n).integers(-5, 90, n)
+    sums = running_sum(jnp.asarray(numbers, jnp.int32))
+    np.testing.assert_array_equal(sums, np.cumsum(numbers))
+
+
+@pytest.mark.parametrize("n", [3, 1 << 13])
+def test_rays_go_on_until_they_are_done_and_no_further(n):
+    goal = jnp.asarray(np.random.default_rng(n).geometric(0.05, n), jnp.int32)
+    alive = lambda goal, now: now[0] < goal
+
+    def step(goal, now):
+        more = now[0] < goal
+        return now[0] + jnp.where(more, 1, 0), now[1] + jnp.where(more, 2.0, 0)
+
+    start = jnp.zeros(n, jnp.int32), jnp.zeros((n,))
+    steps, double = until_done(step, alive, goal, start)
+    np.testing.assert_array_equal(steps, goal)
+    np.testing.assert_array_equal(double, 2 * goal.astype(float))
