@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.sharding import NamedSharding
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from ._types import Highlight, Ids, Mask, Picture, Plane
 from .camera import Ray, pixel_rays
@@ -20,7 +20,7 @@ from .phases import STRIP_PIXELS, fill, retrace
 from .scene import Scene
 from .sharding import everywhere, on_devices
 from .varying import pixel_beams
-from .vec import Vec, grey, zeros
+from .vec import Vec, zeros
 from .world import World, build_world
 
 # Pixels with edges are composed this many at a time, as few as keeps the overhead small.
@@ -86,13 +86,16 @@ def draw_everywhere(scene: Scene, options: Options) -> Picture:
     return everywhere(draw(scene, options), options.sharding)
 
 
-def _rows(scene: Scene, options: Options) -> Float[Array, "rows width 3"]:
+def _rows(scene: Scene, options: Options) -> Picture:
     """The rows of the picture that are to be computed."""
     return averaged(*sampled(scene, options), options)
 
 
-def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
-    """The mean of each pixel's samples, and in which pixels there may be edges."""
+def sampled(scene: Scene, options: Options) -> tuple[Vec | Picture, Mask]:
+    """The mean of each pixel's samples, and in which pixels there may be edges.
+
+    Where edges are covered, in planes.
+    """
     size = options.width, options.height
     known = lists(scene, size, options.needs, options.bounces, options.rows)
     world, k = build_world(scene).listed(known), options.samples
@@ -100,13 +103,13 @@ def sampled(scene: Scene, options: Options) -> tuple[Vec, Mask]:
     if k == 1:
         return _sample(scene, world, options, places[0][0], places[1][0])
 
-    def add(total: tuple[Vec, Mask], place: tuple) -> tuple[tuple[Vec, Mask], None]:
+    def add(total: tuple, place: tuple) -> tuple[tuple, None]:
         color, edge = _sample(scene, world, options, *place)
         return (total[0] + color, total[1] | edge), None
 
     size = (options.rows.count, options.width)
-    start = zeros(size, scene.dtype), jnp.full(size, False)
-    (color, edge), _ = lax.scan(add, start, places)
+    black = zeros(size, scene.dtype) if options.antialias else jnp.zeros((*size, 3), scene.dtype)
+    (color, edge), _ = lax.scan(add, (black, jnp.full(size, False)), places)
     return color * (1 / k**2), edge
 
 
@@ -121,23 +124,27 @@ def sample_places(scene: Scene, options: Options) -> tuple[Array, Array]:
     return left.reshape(-1), top.reshape(-1) + first
 
 
-def averaged(color: Vec, edge: Mask, options: Options) -> Float[Array, "rows width 3"]:
+def averaged(color: Vec | Picture, edge: Mask, options: Options) -> Picture:
     """The picture's rows: where pixels are areas, smooth shading is averaged over them, too.
 
     The mean of a smooth f over a pixel is f + (f_xx + f_yy)/24: without that what is bright and
     small, as highlights are, is too bright at its centre.
     """
-    if options.antialias:
-        across, down = smooth_beside(edge, options)
-        part = bend_part(options)
+    if not isinstance(color, Vec):
+        return color
+    across, down = smooth_beside(edge, options)
+    part = bend_part(options)
 
-        def mean(f: Plane) -> Plane:
-            wide, tall = jnp.pad(f, ((0, 0), (1, 1))), options.rows.with_neighbours(f)
-            bend_x = wide[:, :-2] + wide[:, 2:] - 2 * f
-            bend_y = tall[:-2] + tall[2:] - 2 * f
-            return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
+    def mean(f: Plane) -> Plane:
+        wide, tall = jnp.pad(f, ((0, 0), (1, 1))), options.rows.with_neighbours(f)
+        bend_x = wide[:, :-2] + wide[:, 2:] - 2 * f
+        bend_y = tall[:-2] + tall[2:] - 2 * f
+        return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
 
-        color = jax.tree.map(mean, color)
+    return _interleaved(jax.tree.map(mean, color))
+
+
+def _interleaved(color: Vec) -> Picture:
     return jnp.stack([color.x, color.y, color.z], axis=-1)
 
 
@@ -194,8 +201,8 @@ def _position(pixels: Ids, options: Options, left: Array, top: Array) -> tuple[P
 
 def _sample(
     scene: Scene, world: World, options: Options, left: Array, top: Array
-) -> tuple[Vec, Mask]:
-    """One sample of each pixel, and in which pixels there may be edges.
+) -> tuple[Vec | Picture, Mask]:
+    """One sample of each pixel, and in which pixels there may be edges, as `sampled` says.
 
     **Arguments:** `left`, `top`: where the first one is, in pixels.
     """
@@ -205,11 +212,10 @@ def _sample(
     rows = -(-count // strips)
     if world.lists is not None:
         rows = -(-rows // TILE) * TILE
-    colors = options.needs.colors
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @retrace
-    def trace(first_row: Int[Array, ""]) -> tuple[Vec | Plane, Mask]:
+    def trace(first_row: Int[Array, ""]) -> tuple[Vec | Picture, Mask]:
         columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
         lines = top + first_row.astype(dtype) + lines
         ray = pixel_rays(scene.camera, (left + columns)[None, :], lines[:, None], (width, height))
@@ -218,12 +224,12 @@ def _sample(
             side = scene.camera.window / (height * options.samples)
             cone = pixel_cones(scene.camera, ray, side)
         color, edge = radiance(scene, world.of_strip(first_row), ray, options, cone=cone)
-        return color if colors else color.x, edge
+        # interleaved here, the rows go straight into the picture: 9.8 against 11.3 ms
+        return color if options.antialias else _interleaved(color), edge
 
     first_rows = jnp.arange(0, count, rows, dtype=jnp.int32)
-    whole = lambda x: x.reshape(-1, width)[:count]
+    whole = lambda x: x.reshape(-1, *x.shape[2:])[:count]
     color, edge = jax.tree.map(whole, lax.map(trace, first_rows))
-    color = color if colors else grey(color)
     if not options.antialias:
         return color, edge
 
