@@ -163,8 +163,11 @@ def _terms(
         return diffuse, jnp.zeros_like(diffuse)
 
     def front() -> Plane:
-        surface = lambda ray: surface_at(world, ray, hit, needs, reach)
-        f = beam.map(lambda ray: lambert(surface(ray), toward_light(surface(ray), light)))
+        def cosine(ray: Ray) -> Plane:
+            surface = surface_at(world, ray, hit, needs, reach)
+            return lambert(surface, toward_light(surface, light))
+
+        f = beam.map(cosine)
         return half_plane(f.value, f.dx, f.dy)
 
     abrupt = lit & ends_abruptly(options.highlight, to_light, ray.direction)

@@ -23,8 +23,8 @@ C = TypeVar("C")
 UNROLL = 16
 
 # For at most this many pixels rows of short tables are fetched one by one, too: selects are faster
-# for many, but there are a dozen of them for each number, and compile time grows with them (that
-# of covered edges from 0 to 0 s).
+# for many, but there are a dozen of them for each number, and a third of what there is to compile
+# of covered edges was these.
 MOST_GATHERED = 1 << 12
 
 # In a strip of this many pixels the temporaries stay below 32 MB, above which the allocator maps

@@ -14,7 +14,7 @@ SIZE = dict(width=20, height=20, bounces=2)
 @pytest.mark.parametrize(
     ("name", "highlight"),
     [
-        ("two_coloured_lights", "blinn"),
+        pytest.param("two_coloured_lights", "blinn", marks=pytest.mark.slow),
         ("glass", "phong"),
         pytest.param("planes", "phong", marks=pytest.mark.slow),
         ("textures", "phong"),

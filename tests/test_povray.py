@@ -43,7 +43,9 @@ SMOOTH = [reference for reference in REFERENCES if "samples" in reference]
 @pytest.mark.parametrize(
     "reference",
     [
-        pytest.param(r, id=r["name"], marks=[pytest.mark.slow] * (r["name"] == "smooth"))
+        pytest.param(
+            r, id=r["name"], marks=[pytest.mark.slow] * (r["name"] in ("smooth", "smooth_three"))
+        )
         for r in SMOOTH
     ],
 )

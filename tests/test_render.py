@@ -128,11 +128,17 @@ def test_strips_leave_no_seams(monkeypatch):
     np.testing.assert_allclose(pieces, whole, atol=1e-14)
 
 
-def test_large_pictures_are_drawn_in_strips_of_bounded_memory():
-    scene, needs = SCENES["shadows"].astype(jnp.float32), st.needs(SCENES["shadows"])
-    draw = jax.jit(lambda s: st.render(s, width=1024, height=1024, needs=needs))
-    used = draw.lower(scene).compile().memory_analysis().temp_size_in_bytes
-    assert used < 32e6
+@pytest.mark.parametrize(
+    ("side", "antialias", "most"),
+    [(1024, 0, 32e6), (4096, 0, 32e6), pytest.param(4096, 1, 1.5e9, marks=pytest.mark.slow)],
+)
+def test_large_pictures_are_drawn_in_strips_of_bounded_memory(side, antialias, most):
+    scene = SCENES["shadows"].astype(jnp.float32).with_antialias(antialias)
+    needs = st.needs(scene)
+    draw = jax.jit(lambda s: st.render(s, width=side, height=side, needs=needs))
+    used = draw.lower(scene).compile().memory_analysis()
+    assert used.temp_size_in_bytes < most
+    assert used.output_size_in_bytes == side * side * 3 * 4
 
 
 def test_many_lights_and_many_spheres_loop_to_the_same_picture():
@@ -158,7 +164,7 @@ def test_many_lights_and_many_spheres_loop_to_the_same_picture():
     np.testing.assert_allclose(a, b, atol=1e-13)
 
 
-@pytest.mark.parametrize("count", [127, 128, 129, 300])
+@pytest.mark.parametrize("count", [128, 300])
 def test_objects_are_numbered_without_overflow(count):
     behind = np.arange(count)[::-1]  # the last sphere is in the middle of the picture
     center = np.stack([30.0 * (behind % 10), 30.0 * (behind // 10), 0 * behind], axis=1)
