@@ -143,7 +143,7 @@ def shade(
     terms = partial(light_terms_at, world, ray, hit, options)
     sums = light_sums(scene, hit.id.shape, needs, terms)
 
-    def color() -> Vec:
+    def seen_color() -> Vec:
         surface = surface_at(world, ray, hit, needs)
         color, seen = local_color(scene, world, hit, surface, needs, sums), path.alive
         if needs.background:
@@ -153,13 +153,13 @@ def shade(
         return where(seen, color * path.weight, zeros(path.weight.shape, scene.dtype))
 
     if needs.colors:
-        color_ = materialise(color, world.window)
+        color = materialise(seen_color, world.window)
     else:
-        color_ = grey(materialise(lambda: color().x, world.window))
+        color = grey(materialise(lambda: seen_color().x, world.window))
     if not needs.bounces:
-        return color_, path
+        return color, path
     surface = surface_at(world, ray, hit, needs)
-    return color_, next_path(world, path, surface, needs, choice)
+    return color, next_path(world, path, surface, needs, choice)
 
 
 def light_terms_at(
