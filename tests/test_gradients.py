@@ -17,7 +17,7 @@ SIZE = dict(width=20, height=20, bounces=2)
         pytest.param("two_coloured_lights", "blinn", marks=pytest.mark.slow),
         ("glass", "phong"),
         pytest.param("planes", "phong", marks=pytest.mark.slow),
-        ("textures", "phong"),
+        pytest.param("textures", "phong", marks=pytest.mark.slow),
         ("inside", "phong"),
     ],
 )
