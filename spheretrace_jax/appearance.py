@@ -44,8 +44,8 @@ def light_sums(
         sums, _ = lax.scan(add, sums, (lights.position, lights.color))
     else:
         for i in range(len(lights)):
-            shadows = needs.shadows and i not in needs.clear
-            sums, _ = add_light(sums, (lights.position[i], lights.color[i]), shadows)
+            light = lights.position[i], lights.color[i]
+            sums, _ = add_light(sums, light, needs.shadows_of(i))
     return sums if needs.tinted else (grey(sums[0]), grey(sums[1]))
 
 

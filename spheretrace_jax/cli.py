@@ -9,7 +9,6 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Sized
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib import resources
@@ -174,51 +173,15 @@ class Info:
     scene: SceneFile
 
     def run(self) -> int:
-        from rich.box import SIMPLE_HEAD
-        from rich.console import Console
-        from rich.table import Table
-
         from . import load_scene
         from .cost import saved
-        from .needs import left_out
+        from .info import print_needs, print_scene
 
         scene = load_scene(self.scene)
-        console = Console()
-        c, s = scene.camera, scene.spheres
-        console.print(
-            f"{self.scene}: {_some(s, 'sphere')}, {_some(scene.lights, 'light')}, "
-            f"{_some(scene.planes, 'plane')}, {_some(scene.textures, 'texture')}"
-            f"{', the back plane' if scene.back_plane is not None else ''}",
-            highlight=False,
-            markup=False,
-        )
-        console.print(
-            f"camera: theta {float(c.theta):g}, phi {float(c.phi):g}, mu {float(c.mu):g}, "
-            f"distance {float(c.distance):g}, window {float(c.window):g}",
-            highlight=False,
-            markup=False,
-        )
-        for i, (p, color) in enumerate(zip(scene.lights.position, scene.lights.color, strict=True)):
-            text = f"light {i + 1}: at {_short(p)}, color {_short(color)}"
-            console.print(text, highlight=False, markup=False)
-        table = Table(
-            "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic",
-            box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-        )  # fmt: skip
-        columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
-        shown = min(len(s), 50)
-        for i in range(shown):
-            table.add_row(str(i + 1), *(_short(column[i]) for column in columns), str(s.pic[i]))
-        console.print(table)
-        if len(s) > shown:
-            console.print(f"and {len(s) - shown} more spheres")
-        with console.status("counting operations"):
+        print_scene(self.scene, scene)
+        with _busy("counting operations"):
             costs = saved(scene)
-        table = Table("feature", "computed", "would cost", "why", box=SIMPLE_HEAD)
-        for name, needed, why in left_out(scene):
-            cost = f"+{max(costs[name], 0):.0%}" if name in costs else ""
-            table.add_row(name, "yes" if needed else "left out", cost, why)
-        console.print(table)
+        print_needs(scene, costs)
         return 0
 
 
@@ -366,16 +329,6 @@ def _keep_compiled(folder: Path) -> None:
     # every program: by itself JAX keeps none that took less than a second, as most of ours do
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-def _short(value) -> str:
-    import numpy as np
-
-    return " ".join(f"{float(x):g}" for x in np.atleast_1d(np.asarray(value)))
-
-
-def _some(things: Sized, name: str) -> str:
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def _data_folder() -> Path:

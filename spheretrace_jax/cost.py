@@ -15,8 +15,9 @@ _SIDE, _BOUNCES = 64, 2
 
 def operations(scene: Scene, needs: Needs) -> float:
     """How many arithmetic operations a small picture of the scene takes, one ray per pixel."""
-    program = options(scene.with_antialias(0), _SIDE, _SIDE, bounces=_BOUNCES, needs=needs)
-    lowered = jax.jit(lambda scene: draw(scene, program)).lower(scene.with_antialias(0))
+    scene = scene.with_antialias(0)
+    program = options(scene, _SIDE, _SIDE, bounces=_BOUNCES, needs=needs)
+    lowered = jax.jit(lambda scene: draw(scene, program)).lower(scene)
     counted = lowered.cost_analysis()
     assert counted is not None
     return float(counted["flops"])

@@ -15,7 +15,7 @@ from ._types import Index, Mask, Plane
 from .camera import Ray, view_frame
 from .intersect import perpendicular, ray_plane
 from .options import Options
-from .phases import fetch, materialise, over
+from .phases import materialise, over
 from .scene import Camera
 from .shading import ends_abruptly
 from .vec import Vec, cross, dot, norm, safe_sqrt, vec
@@ -56,9 +56,8 @@ def onward(cone: Cone, world: World, ray: Ray, hit: Hit, surface: Surface, mirro
 
 def _curvature(world: World, hit: Hit) -> Plane:
     """1/R of the object that is hit, 0 for a plane."""
-    radius = fetch(world.balls.radius, hit.id)
-    ball = (hit.id >= 0) & (hit.id < world.spheres) & (radius > 0)
-    return jnp.where(ball, 1 / jnp.where(ball, radius, 1), 0)
+    ball = (hit.id >= 0) & (hit.id < world.spheres)
+    return jnp.where(ball, world.curvature(hit.id), 0)
 
 
 def near_edge(
@@ -106,11 +105,9 @@ def near_edge(
         return edge
 
     def light_edge(k: Index, edge: Mask) -> Mask:
-        shadows = needs.shadows and not (isinstance(k, int) and k in needs.clear)
-
         def phase() -> Mask:
             surface, _, _, footprint = met()
-            light = vec(lights[k])
+            light, shadows = vec(lights[k]), needs.shadows_of(k)
             return _edge_of_light(world, ray, footprint, hit, surface, light, shadows, options)
 
         return edge | hits & materialise(phase, world.window)

@@ -19,7 +19,7 @@ from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
 from .cells import Cells, Cluster, Layout, Meet, T
 from .phases import keep, until_done
-from .vec import Vec
+from .vec import Vec, parts
 
 # Rays look at this many spheres at each step.
 BLOCK = 2
@@ -51,8 +51,8 @@ class Grid(eqx.Module):
         flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
         rays, state, alive, ray = jax.tree.map(flat, (rays, state, alive, ray))
         low = jax.tree.map(flat, self.low)
-        start = [x / self.side for x in _parts(ray.origin - low)]
-        slope = [x / self.side for x in _parts(ray.direction)]
+        start = [x / self.side for x in parts(ray.origin - low)]
+        slope = [x / self.side for x in parts(ray.direction)]
         state = lax.fori_loop(0, cells.start[1], lambda k, s: meet(rays, *cells.row(k), s), state)
 
         def step(given: tuple, now: tuple) -> tuple:
@@ -113,17 +113,17 @@ def layout_of_grid(center: Vec, radius: Plane, group: Cluster) -> tuple[Vec, Sca
     """
     most = most_boxes(radius.shape[0])
     # boxes are cubes, and half as many as there may be, of a flat cluster too
-    largest = functools.reduce(jnp.maximum, _parts(group.half))
-    thin = [jnp.maximum(half / largest, 1 / most) for half in _parts(group.half)]
+    largest = functools.reduce(jnp.maximum, parts(group.half))
+    thin = [jnp.maximum(half / largest, 1 / most) for half in parts(group.half)]
     side = 2 * largest * jnp.cbrt(math.prod(thin) * (2 / most))
     # no more along an axis than there are numbers for
     side = jnp.maximum(side, largest * 2.0 ** (1 - BITS))
     corner, reach = group.middle - group.half, radius + group.slack
-    away = _parts(center - corner)
+    away = parts(center - corner)
     layout = Layout(
         tuple((x - reach) / side for x in away),
         tuple((x + reach) / side for x in away),
-        jnp.stack(_parts(group.half * 2)) / side,
+        jnp.stack(parts(group.half * 2)) / side,
         jnp.asarray(2**0.5, side.dtype),
     )
     return corner, side, layout
@@ -132,7 +132,3 @@ def layout_of_grid(center: Vec, radius: Plane, group: Cluster) -> tuple[Vec, Sca
 def most_boxes(spheres: int) -> int:
     """How many boxes there may be."""
     return 4 * spheres
-
-
-def _parts(v: Vec) -> tuple[Plane, Plane, Plane]:
-    return v.x, v.y, v.z

@@ -13,6 +13,7 @@ import jax.core
 import numpy as np
 
 from . import possible
+from ._types import Index
 from .errors import InputError
 from .scene import Camera, Lights, Planes, Scene, Spheres
 
@@ -37,6 +38,10 @@ class Needs:
     colors: bool = True  #: anything's red, green and blue differ
     clear: tuple[int, ...] = ()  #: the lights whose way to every object is free: no shadow pass
     depth: int | None = None  #: after how many bounces no ray meets anything; None: no limit
+
+    def shadows_of(self, light: Index) -> bool:
+        """Whether objects may stand in a light's way; in any's, where its number is not known yet."""
+        return self.shadows and not (isinstance(light, int) and light in self.clear)
 
     @property
     def bounces(self) -> bool:

@@ -60,6 +60,11 @@ def grey(value: Plane) -> Vec:
     return Vec(value, value, value)
 
 
+def parts(a: Vec) -> tuple[Plane, Plane, Plane]:
+    """Its planes one by one."""
+    return a.x, a.y, a.z
+
+
 def dot(a: Vec, b: Vec) -> Plane:
     return a.x * b.x + a.y * b.y + a.z * b.z
 

@@ -17,7 +17,7 @@ from .charts import Lamp
 from .intersect import ray_plane, ray_sphere
 from .needs import Needs
 from .phases import fetch, materialise, over, remember
-from .vec import Vec, cross, dot
+from .vec import Vec, cross, dot, parts
 from .world import Ball, Flat, Hit, World
 
 Best = tuple[Plane, Ids]
@@ -224,11 +224,7 @@ def near_one(world: World, light: Vec) -> Scalar:
     The shadow test multiplies four lengths: in float32 it would overflow where a radius times the
     light's distance exceeds 1.8e19, and shadows would be lost (planets, in metres).
     """
-    sizes = [world.balls.radius, *_parts(world.balls.center), *_parts(light)]
+    sizes = [world.balls.radius, *parts(world.balls.center), *parts(light)]
     largest = functools.reduce(jnp.maximum, (jnp.max(jnp.abs(x), initial=0) for x in sizes))
     exponent = jnp.where(largest > 0, jnp.floor(jnp.log2(jnp.where(largest > 0, largest, 1))), 0)
     return jnp.exp2(-exponent)
-
-
-def _parts(v: Vec) -> tuple[Plane, Plane, Plane]:
-    return v.x, v.y, v.z

@@ -126,11 +126,10 @@ class World(eqx.Module):
 
     def curvature(self, ids: Ids) -> Plane:
         """1/R of the spheres of these numbers; divided per sphere, which is seldom per pixel."""
+        per = lambda radius: 1 / jnp.where(radius > 0, radius, 1)
         if self.own is None:
-            radius = self.balls.radius
-            return fetch(1 / jnp.where(radius > 0, radius, 1), ids)
-        radius = fetch_own(self.own.balls.radius, ids)
-        return 1 / jnp.where(radius > 0, radius, 1)
+            return fetch(per(self.balls.radius), ids)
+        return per(fetch_own(self.own.balls.radius, ids))
 
     def material(self, ids: Ids, part: Callable[[Material], T]) -> T:
         """A part of what the objects of these numbers are made of."""

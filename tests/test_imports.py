@@ -20,7 +20,7 @@ CORE = """
     lists needs options outlines paths peel penumbra phases possible render scene shading sharding
     texture varying vec visibility world
 """.split()
-OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "cli", "demo"))
+OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "info", "cli", "demo"))
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")
 
 
@@ -82,7 +82,7 @@ def test_the_core_knows_nothing_around_it(module):
 
 
 def test_every_module_beside_the_core_has_a_known_place():
-    known = ("files", "fit", "study", "report", "cli", "demo", *CORE)
+    known = ("files", "fit", "study", "report", "info", "cli", "demo", *CORE)
     places = (PACKAGE, *(f"{PACKAGE}.{name}" for name in known))
     assert [name for name in FILES if name != PACKAGE and not within(name, places[1:])] == []
 

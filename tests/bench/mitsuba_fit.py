@@ -6,7 +6,6 @@ its own, which it can reach exactly. First calls are apart; Mitsuba keeps its ke
 """
 
 import argparse
-import importlib
 import time
 import warnings
 from collections.abc import Callable
@@ -18,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from peers import LIGHT, mitsuba_scene
+from peers import LIGHT, mitsuba, mitsuba_scene
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
@@ -111,12 +110,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15, help="of each fit by Mitsuba")
     parser.add_argument("--curve", type=Path, metavar="FILE.csv", help="where to write all points")
     arguments = parser.parse_args()
-    try:
-        mi, dr = (importlib.import_module(name) for name in ("mitsuba", "drjit"))
-        mi.set_variant("llvm_ad_rgb")
-    except ImportError as error:
-        print(f"skipped, Mitsuba or its LLVM is missing: {error}")
+    if (loaded := mitsuba()) is None:
         return
+    mi, dr = loaded
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore", st.SceneWarning)
     truth = start_and_truth("float64")[1]

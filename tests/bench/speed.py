@@ -10,13 +10,13 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from fit import nine_spheres
 from peers import mitsuba, mitsuba_gradient, mitsuba_picture, mitsuba_scene, povray_seconds
 from rich.console import Console
 from rich.table import Table
@@ -24,7 +24,6 @@ from rich.table import Table
 import spheretrace_jax as st
 from spheretrace_jax.fit.problem import make_problem, normal_at
 
-SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 SIZE, MANY_SIZE, RUNS, SECONDS = 1024, 512, 9, 6.0
 
 Work = Callable[[], Any]
@@ -42,11 +41,10 @@ SHADING = {
 GEOMETRY = {"center": lambda s: s.spheres.center, "radius": lambda s: s.spheres.radius}
 
 
-def nine_spheres() -> st.Scene:
+def shadowed_spheres() -> st.Scene:
     """The lecture's scene with a light that casts shadows, as its own does not."""
-    scene = st.load_scene(SCENE, "float32").with_antialias(0)
     lights = st.Lights(jnp.array([[100, 900, 300]], jnp.float32))
-    return eqx.tree_at(lambda s: s.lights, scene, lights)
+    return eqx.tree_at(lambda s: s.lights, nine_spheres("float32"), lights)
 
 
 def random_spheres(count: int) -> st.Scene:
@@ -97,7 +95,7 @@ def normal_equations(scene: st.Scene, size: int) -> Work:
 
 
 def rows(many: list[int]) -> Iterator[Row]:
-    scene, peer = nine_spheres(), mitsuba()
+    scene, peer = shadowed_spheres(), mitsuba()
     pov = lambda scene, size, bounces: {"POV-Ray": partial(povray_seconds, scene, size, bounces)}
     matt = eqx.tree_at(lambda s: (s.spheres.ks, s.spheres.kgr), scene, replace_fn=jnp.zeros_like)
 
