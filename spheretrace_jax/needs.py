@@ -40,7 +40,7 @@ class Needs:
     depth: int | None = None  #: after how many bounces no ray meets anything; None: no limit
 
     def shadows_of(self, light: Index) -> bool:
-        """Whether objects may stand in a light's way; in any's, where its number is not known yet."""
+        """Whether objects may stand in a light's way; in any's, if its number is not known yet."""
         return self.shadows and not (isinstance(light, int) and light in self.clear)
 
     @property
