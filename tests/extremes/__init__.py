@@ -1,0 +1,3 @@
+"""The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
+
+PARTS = []
