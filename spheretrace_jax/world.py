@@ -223,7 +223,11 @@ def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
     """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere."""
     outer = safe_sqrt(dot(q, q) + reach * reach)
     rim = radius / jnp.where(outer > 0, outer, 1)
-    return mean_root(*chord_range(q, radius, reach)), q * jnp.minimum(rim, 1)
+    half_chord, q = mean_root(*chord_range(q, radius, reach)), q * jnp.minimum(rim, 1)
+    # the mean of unit normals is no longer than 1: highlights of a longer one explode
+    length = safe_sqrt(dot(q, q) + half_chord * half_chord)
+    short = jnp.minimum(radius / jnp.where(length > 0, length, 1), 1)
+    return half_chord * short, q * short
 
 
 def chord_range(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Plane]:

@@ -17,6 +17,8 @@ from jaxtyping import Array, Float
 from scenes import FLAT, SCENES, WHITE, nine_spheres, three_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.vec import Vec, dot
+from spheretrace_jax.world import mean_chord
 
 # ambient light alone: what is seen are silhouettes
 CUT = dataclasses.replace(FLAT, crossings=True)
@@ -208,6 +210,24 @@ def test_highlights_are_averaged_over_pixels():
     point, smooth = (st.render(scene.with_antialias(a), **settings)[inside] for a in (0, 1))
     assert np.ptp(truth) > 0.5
     assert off(smooth, truth) < off(point, truth) / 10
+
+
+def test_the_mean_of_normals_is_no_longer_than_one():
+    # from the middle to outside of the sphere, pixels from narrow to wider than the sphere
+    q, reach = np.meshgrid(np.linspace(0, 3, 200), np.geomspace(1e-4, 10, 200))
+    zero = jnp.zeros(q.shape)
+    half_chord, mean = mean_chord(Vec(jnp.asarray(q), zero, zero), 1 + zero, jnp.asarray(reach))
+    assert np.sqrt(half_chord**2 + dot(mean, mean)).max() <= 1 + 1e-15
+
+
+@pytest.mark.slow
+def test_highlights_in_mirrors_are_no_brighter_than_they_can_be():
+    # each of nine spheres mirrors the others, whose highlights are smaller than a pixel there
+    scene, settings = nine_spheres((100.0, 500, 800)), dict(width=64, height=64, bounces=1)
+    truth = rays(scene, 32, **settings)
+    smooth = st.render(scene.with_antialias(1), **settings)
+    assert off(smooth, truth) < off(st.render(scene, **settings), truth) / 4
+    assert np.abs(smooth - truth).max() < 0.15
 
 
 def test_the_end_of_the_light_along_a_rim_is_averaged():
