@@ -12,7 +12,7 @@ import numpy as np
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.report import determined
+from spheretrace_jax.fit.determined import determined
 
 SCENE = Path(__file__).parent.parent / "data" / "nine_spheres.txt"
 

@@ -225,7 +225,7 @@ class Demo(Drawing):
     def run(self) -> int:
         from . import load_scene, read_image, render, save_scene, write_image
         from .demo import wrong_start
-        from .report import determined
+        from .fit.determined import determined
 
         _check_folder(self.output)
         data = _data_folder()

@@ -12,17 +12,6 @@ from .fit.trust import together
 from .scene import Scene
 
 
-def determined(scene: Scene) -> dict[str, np.ndarray]:
-    """What a picture determines: the products of colour and coefficients, ks, the lights."""
-    s = scene.spheres
-    return {
-        "ka*color": np.asarray(s.ka)[:, None] * np.asarray(s.color),
-        "kd*color": np.asarray(s.kd)[:, None] * np.asarray(s.color),
-        "ks": np.asarray(s.ks),
-        "light_position": np.asarray(scene.lights.position),
-    }
-
-
 def _remarks(fit: Fit) -> list[str]:
     known = fit.identifiability
     return [
@@ -76,8 +65,8 @@ def write_report(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / name for name in ("comparison.png", "cost.png", "report.md")]
-    _save(_comparison(target, before, after), files[0])
-    _save(_cost_curve(fit), files[1])
+    save_figure(_comparison(target, before, after), files[0])
+    save_figure(_cost_curve(fit), files[1])
     text = [
         "# Fit",
         f"{fit.trust.verdict[0].upper()}{fit.trust.verdict[1:]}.",
@@ -92,12 +81,12 @@ def write_report(
     return files
 
 
-def _save(figure, path: Path) -> None:
+def save_figure(figure, path: Path) -> None:
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120)
 
 
-def _figure(width: float, height: float):
+def new_figure(width: float, height: float):
     from matplotlib.figure import Figure  # not pyplot: no window system, no global state
 
     return Figure(figsize=(width, height), layout="constrained")
@@ -106,8 +95,8 @@ def _figure(width: float, height: float):
 def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
     from .files.images import to_srgb
 
-    figure = _figure(13.0, 3.6)
-    axes = figure.subplots(1, 4)
+    drawn = new_figure(13.0, 3.6)
+    axes = drawn.subplots(1, 4)
     pictures = {"target": target, "start": before, "fit": after}
     for ax, (title, picture) in zip(axes, pictures.items(), strict=False):
         ax.imshow(np.clip(to_srgb(np.asarray(picture)), 0, 1))
@@ -118,16 +107,16 @@ def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
     limit = max(float(np.abs(worst).max()), 1e-12)
     shown = axes[3].imshow(worst, cmap="RdBu", vmin=-limit, vmax=limit)
     axes[3].set_title("fit - target, worst channel")
-    figure.colorbar(shown, ax=axes[3])
+    drawn.colorbar(shown, ax=axes[3])
     for ax in axes:
         ax.set_axis_off()
-    return figure
+    return drawn
 
 
 def _cost_curve(fit: Fit):
-    figure = _figure(5.0, 3.6)
-    ax = figure.subplots()
+    drawn = new_figure(5.0, 3.6)
+    ax = drawn.subplots()
     ax.semilogy(np.arange(1, len(fit.costs) + 1), fit.costs, marker="o")
     ax.set(xlabel="step", ylabel="cost (half the sum of squares)", title="Levenberg-Marquardt")
     ax.grid(alpha=0.3)
-    return figure
+    return drawn

@@ -2,15 +2,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import optimistix as optx
 import pytest
-from scenes import SCENES, nine_spheres
+from scenes import SCENES, nine_spheres, three_apart
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
+from spheretrace_jax.fit.determined import determined
 from spheretrace_jax.fit.parameters import Parameters
 from spheretrace_jax.fit.target import make_target
-from spheretrace_jax.report import determined
 
 LIGHT = (100.0, 500, 800)
 PLAIN = dict(bounces=0, samples=1)  # of most fits here, so that they compile quickly
@@ -165,6 +166,22 @@ def test_solvers_of_optimistix_can_be_chosen(solver):
     found = st.fit(start, target, free=("color",), solver=solver(rtol=1e-9, atol=1e-9), **PLAIN)
     assert found.converged
     np.testing.assert_allclose(found.scene.spheres.color, truth.spheres.color, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "solver", [optx.OptaxMinimiser(optax.adam(0.03), 1e-6, 1e-6), optx.NelderMead(1e-6, 1e-6)]
+)
+def test_solvers_whose_states_are_of_another_kind_can_be_chosen(solver):
+    truth, seen = three_apart([900.0, -400, 700]), dict(width=24, height=24, bounces=0)
+    target = st.render(truth, **seen)
+    start = eqx.tree_at(lambda s: s.spheres.ka, truth, truth.spheres.ka * 0.5)
+    told = []
+    found = st.fit(
+        start, target, free=("ka",), bounces=0, solver=solver, max_steps=400, callback=told.append
+    )
+    assert found.converged and len(told) == found.steps
+    assert found.cost < 1e-4
+    np.testing.assert_allclose(found.scene.spheres.ka, truth.spheres.ka, atol=0.01)
 
 
 def test_a_fit_that_runs_out_of_steps_says_so():

@@ -7,9 +7,9 @@ import pytest
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
+from spheretrace_jax.fit.determined import determined
 from spheretrace_jax.fit.problem import Problem, make_problem, normal_at
 from spheretrace_jax.fit.solve import DEFAULT_FREE
-from spheretrace_jax.report import determined
 
 PLAIN = dict(bounces=0, samples=1)
 SIZE = dict(width=48, height=48)

@@ -7,9 +7,9 @@ import pytest
 from scenes import three_apart as world
 
 import spheretrace_jax as st
+from spheretrace_jax.fit.determined import determined
 from spheretrace_jax.fit.problem import make_problem
 from spheretrace_jax.fit.solve import _starts
-from spheretrace_jax.report import determined
 
 PLAIN = dict(bounces=0)
 SIZE = dict(width=64, height=64)

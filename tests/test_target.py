@@ -9,12 +9,12 @@ from scenes import nine_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
+from spheretrace_jax.fit.determined import determined
 from spheretrace_jax.fit.gauge import settle
 from spheretrace_jax.fit.parameters import extent
 from spheretrace_jax.fit.problem import Problem, make_problem, normal_at
 from spheretrace_jax.fit.solve import DEFAULT_FREE
 from spheretrace_jax.fit.target import Target, make_target
-from spheretrace_jax.report import determined
 
 PLAIN = dict(bounces=0, samples=1)
 SIZE = dict(width=64, height=64)  # of all fits, so that few are compiled

@@ -55,6 +55,11 @@ def _point(normal: Normal, values: PyTree) -> _Point:
 
 
 @eqx.filter_jit
+def _placed(problem: Problem, values: PyTree) -> list[Any]:
+    return [scene for scene, _ in problem.place(values)]
+
+
+@eqx.filter_jit
 def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
     shape, _ = jax.eval_shape(fn, values, args)
     return solver.init(fn, values, args, _options(fn), shape, None, frozenset())
@@ -70,9 +75,24 @@ def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> t
     """The best values so far, their cost, the state, and how far the next look is."""
     values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())
     moves = jax.tree.map(
-        lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), state.y_eval, values
+        lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), _next(values, state), values
     )
-    return values, state.f_info.as_min(), state, jnp.max(jnp.stack(jax.tree.leaves(moves)))
+    cost = _cost(fn, values, args, state)
+    return values, cost, state, jnp.max(jnp.stack(jax.tree.leaves(moves)))
+
+
+def _next(values: PyTree, state: Any) -> PyTree:
+    """Where a solver looks next: its best values, unless it tries some before it takes them."""
+    return getattr(state, "y_eval", values)
+
+
+def _cost(fn: Callable, values: PyTree, args: Any, state: Any) -> Scalar:
+    """The cost that a solver's step came to: from its state, if that keeps it."""
+    if hasattr(state, "f_info"):
+        return state.f_info.as_min()
+    if hasattr(state, "f"):  # Optax's: of the values before the step
+        return state.f
+    return jnp.sum(fn(values, args)[0])
 
 
 class Run:
@@ -118,7 +138,7 @@ class Run:
                 if done or (rejected and move < self.tolerance):
                     self.result = result
                     break
-                args = self._args(problem, state.y_eval)
+                args = self._args(problem, _next(values, state))
         except KeyboardInterrupt:
             self.interrupted = True
         return values
@@ -132,8 +152,9 @@ class Run:
     def _tell(self, problem: Problem, values: PyTree, state: Any) -> None:
         if self.callback is None:
             return
-        scenes = [scene for scene, _ in problem.place(values)]
-        size = float(getattr(state.search_state, "step_size", 1.0))
+        scenes = _placed(problem, values)
+        search = getattr(state, "search_state", None)
+        size = float(getattr(search, "step_size", 1.0))
         damping = 1 / size if size else float("inf")
         best = scenes[0] if len(scenes) == 1 else scenes
         steps = len(self.costs)

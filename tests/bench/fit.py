@@ -18,8 +18,8 @@ import optimistix as optx
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
+from spheretrace_jax.fit.determined import determined
 from spheretrace_jax.fit.solve import DEFAULT_FREE
-from spheretrace_jax.report import determined
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 # products whose standard deviation is less are determined

@@ -1,0 +1,141 @@
+"""Fits: error against time, step by step, of every solver, from the same start."""
+
+import time
+from collections.abc import Iterator
+from importlib.util import find_spec
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+from ..fit import fit
+from ..fit.determined import determined
+from ..fit.parameters import PLACES
+from ..fit.run import Progress
+from ..fit.solve import DEFAULT_FREE
+from ..render import render
+from ..scene import Scene
+from .settings import Settings
+from .work import Diagram, Point
+
+# A number counts as determined if it is known so well from a picture with so much noise.
+_NOISE, _KNOWN = 1e-3, 0.05
+
+# More points than this do not show in a figure.
+_MOST_POINTS = 60
+
+# What most runs reach before their solver is stopped is a matter of time, not of steps.
+_MOST_STEPS = 100_000
+
+
+def solvers(slow: bool) -> dict[str, dict[str, Any]]:
+    """What `fit` is told for each method; Optax's Adam only where Optax is installed.
+
+    **Arguments:** `slow`: those on the whole Jacobian, too.
+    """
+    tolerance = dict(rtol=1e-10, atol=1e-10)
+    levenberg = optx.LevenbergMarquardt(**tolerance)
+    found: dict[str, dict[str, Any]] = {
+        "ours": {},
+        "ours, lights first": dict(start="lights"),
+        "Optimistix LevenbergMarquardt": dict(solver=levenberg),
+        "Optimistix Dogleg": dict(solver=optx.Dogleg(**tolerance)),
+        "Optimistix GaussNewton": dict(solver=optx.GaussNewton(**tolerance)),
+        "Optimistix BFGS": dict(solver=optx.BFGS(**tolerance)),
+        "Optimistix NonlinearCG": dict(solver=optx.NonlinearCG(**tolerance)),
+    }
+    if find_spec("optax"):
+        import optax
+
+        found["Optax Adam"] = dict(solver=optx.OptaxMinimiser(optax.adam(0.01), **tolerance))
+    if slow:
+        found["ours, whole Jacobian"] = dict(jacobian="dense")
+        found["Optimistix LevenbergMarquardt, whole Jacobian"] = dict(
+            jacobian="dense", solver=levenberg
+        )
+    return found
+
+
+def fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
+    """The diagram of fits of colours, ka, kd, ks and lights to the scene's own picture."""
+    if not len(scene.spheres) or not len(scene.lights):
+        return
+    truth = scene.astype(jnp.float64).with_antialias(0)
+    drawn = dict(highlight=settings.highlight, bounces=settings.bounces)
+    target = np.asarray(render(truth, width=settings.fit_size, height=settings.fit_size, **drawn))
+    settings.say("fit: what the picture determines")
+    known = _known(truth, target, drawn)
+    start, points = displaced(truth), []
+    for method, chosen in solvers(settings.slow_solvers).items():
+        settings.say(f"fit: {method}")
+        began = time.perf_counter()
+        _curve(start, target, settings.fit_seconds, **drawn, **chosen)
+        first = time.perf_counter() - began
+        curve = _curve(start, target, settings.fit_seconds, **drawn, **chosen)
+        compiling = max(first - curve[-1][0], 0.0)
+        for k in _spread(len(curve)):
+            seconds, found = curve[k]
+            error = _error(found, truth, known)
+            points.append(
+                Point("fit", method, f"step {k}", k, "float64", seconds, compiling, error, 0)
+            )
+    yield Diagram(
+        "fit",
+        f"Fits from the same start, {settings.fit_size} x {settings.fit_size}, step by step",
+        "largest error of what the picture determines",
+        "the scene itself: ka color, kd color and ks, absolute, and lights by their distance from "
+        "the origin, as far as a picture determines them",
+        float("nan"),
+        tuple(points),
+    )
+
+
+def displaced(truth: Scene) -> Scene:
+    """All that is fitted is wrong: coefficients by a tenth, lights by 6 degrees and a fifth."""
+    turn = jnp.asarray([[0.995, -0.1, 0], [0.1, 0.995, 0], [0, 0, 1]], truth.dtype)
+    places = lambda s: [PLACES[name](s) for name in DEFAULT_FREE]
+    *coefficients, lights = places(truth)
+    return eqx.tree_at(places, truth, [*(0.9 * x for x in coefficients), lights @ turn * 1.2])
+
+
+def _curve(first: Scene, target: np.ndarray, most: float, **chosen: Any) -> list:
+    """Seconds and scenes, step by step from the first one on, until it is time to stop."""
+    curve, began = [(0.0, first)], time.perf_counter()
+
+    def note(progress: Progress) -> None:
+        curve.append((time.perf_counter() - began, progress.scene))
+        if curve[-1][0] > most:
+            raise KeyboardInterrupt  # as fit ends with the best scene so far
+
+    found = fit(first, target, callback=note, max_steps=_MOST_STEPS, **chosen)
+    return [*curve, (time.perf_counter() - began, found.scene)]
+
+
+def _known(truth: Scene, target: np.ndarray, drawn: dict) -> dict[str, np.ndarray]:
+    """Which of the determined products are, by name."""
+    found = fit(truth, target, noise=_NOISE, max_steps=1, **drawn)
+    products = {
+        "ka*color": lambda s: s.spheres.ka[:, None] * s.spheres.color,
+        "kd*color": lambda s: s.spheres.kd[:, None] * s.spheres.color,
+        "ks": lambda s: s.spheres.ks,
+    }
+    return {name: found.uncertainty.of(get) < _KNOWN for name, get in products.items()}
+
+
+def _error(found: Scene, truth: Scene, known: dict[str, np.ndarray]) -> float:
+    ours, true = determined(found), determined(truth)
+    errors = [np.where(mask, ours[name] - true[name], 0) for name, mask in known.items()]
+    far = np.linalg.norm(true["light_position"], axis=-1, keepdims=True)
+    away = ours["light_position"] - true["light_position"]
+    errors.append(away / np.where(far > 0, far, 1))
+    return float(max(np.abs(e).max(initial=0) for e in errors))
+
+
+def _spread(count: int) -> list[int]:
+    """Up to so many numbers of steps, ever wider apart."""
+    wanted = (
+        np.geomspace(1, count, _MOST_POINTS) if count > _MOST_POINTS else np.arange(1, count + 1)
+    )
+    return sorted({int(k) - 1 for k in wanted})

@@ -1,0 +1,49 @@
+"""Pictures: error against time, of single rays and of covered edges, in both precisions."""
+
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..options import options
+from ..render import draw
+from ..scene import Scene
+from .settings import Settings
+from .truth import lattice_picture
+from .work import Diagram, Point, Program, clock, relative
+
+
+def pictures(scene: Scene, settings: Settings) -> Iterator[Diagram]:
+    """The diagram of a scene's pictures."""
+    exact = scene.astype(jnp.float64)
+    size = dict(width=settings.size, height=settings.size)
+    drawn = dict(highlight=settings.highlight, bounces=settings.bounces)
+    settings.say(f"picture: {settings.truth_rays} rays per pixel for the truth")
+    program = options(exact.with_antialias(0), **size, **drawn)
+    truth = np.asarray(lattice_picture(program, settings.truth_rays)(exact))
+    coarser = np.asarray(lattice_picture(program, settings.truth_rays // 2)(exact))
+    programs = {}
+    methods = (("single rays", 0, settings.rays), ("covered edges", 1, settings.parts))
+    for method, antialias, knobs in methods:
+        for dtype in ("float32", "float64"):
+            for k in knobs:
+                settings.say(f"picture: {method}, {dtype}, {k} x {k}")
+                sampled = scene.with_antialias(antialias).astype(dtype)
+                program = options(sampled, samples=k, **size, **drawn)
+                programs[method, dtype, k] = Program(lambda s, p=program: draw(s, p), sampled)
+    taken = clock(programs, settings.seconds)
+    points = [
+        Point(
+            "picture", f"{method}, {dtype}", f"{k} x {k}", k, dtype, taken[method, dtype, k],
+            program.compile_seconds, relative(program(), truth), program.memory,
+        )
+        for (method, dtype, k), program in programs.items()
+    ]  # fmt: skip
+    yield Diagram(
+        "picture",
+        f"Pictures, {settings.size} x {settings.size}",
+        "relative error of the picture, L2",
+        f"the mean of {settings.truth_rays} or more single rays per pixel on a Fibonacci lattice",
+        relative(coarser, truth),
+        tuple(points),
+    )

@@ -1,0 +1,40 @@
+"""`Settings`: how large the pictures of a study are, and how far its methods are swept."""
+
+import dataclasses
+from collections.abc import Callable
+
+from .._types import Highlight
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What a study does, and how it draws."""
+
+    highlight: Highlight = "phong"
+    bounces: int = 1
+    size: int = 128  #: of pictures whose errors are measured: their width and height
+    rays: tuple[int, ...] = (1, 2, 4, 8, 16)  #: k of k x k single rays
+    parts: tuple[int, ...] = (1, 2, 4)  #: k of k x k covered parts
+    steps: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0)  #: of differences, in pixels that edges move
+    truth_rays: int = 10_000  #: of the reference, per pixel
+    fit_size: int = 128  #: of pictures that are fitted
+    fit_seconds: float = 10.0  #: after which a solver is stopped
+    slow_solvers: bool = True  #: those on the whole Jacobian, too
+    sides: tuple[int, ...] = (64, 128, 256, 512, 1024)  #: of pictures whose time is measured
+    counts: tuple[int, ...] = (10, 100, 1000, 10_000, 100_000)  #: of spheres
+    lights: tuple[int, ...] = (1, 2, 4, 8)
+    depths: tuple[int, ...] = (0, 1, 2, 3, 4)  #: of bounces
+    gradients: bool = True  #: measure those as well as pictures
+    seconds: float = 0.5  #: for each point's runs
+    seed: int = 0
+    say: Callable[[str], None] = lambda text: None  #: told what is done next
+
+
+def quick(**changes) -> Settings:
+    """A study of a minute: small pictures, few points, and no bounces, which compile longest."""
+    few = dict(
+        bounces=0, size=64, rays=(1, 2, 4, 8), parts=(1, 2), steps=(0.1, 1.0), truth_rays=2500,
+        fit_size=48, fit_seconds=1.0, slow_solvers=False, sides=(128, 256, 512),
+        counts=(10, 100, 1000), lights=(1, 4), depths=(0, 1, 3), gradients=False, seconds=0.1,
+    )  # fmt: skip
+    return Settings(**(few | changes))
