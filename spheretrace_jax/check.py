@@ -48,7 +48,7 @@ def _print_gradients(table: GradientTable) -> None:
         for row in table.rows
     ]  # fmt: skip
     _table(("parameter", "jvp - fd", "vjp - jvp", "largest", "pixels left out", "agree"), rows)
-    _say(*table.words, end="\n\n")
+    _say(*table.words, "")
 
 
 def _print_stability(table: StabilityTable) -> None:
@@ -67,7 +67,7 @@ def _print_stability(table: StabilityTable) -> None:
     ]  # fmt: skip
     if rows:
         _table(("column", "row", "error", "ulps", "cause", "factor", "where"), rows)
-    _say(*table.warnings, end="\n\n")
+    _say(*table.warnings, "")
 
 
 def _print_condition(condition: Condition) -> None:
@@ -79,8 +79,8 @@ def _print_condition(condition: Condition) -> None:
     )
 
 
-def _say(*lines: str, end: str = "\n") -> None:
-    print(*lines, sep="\n", end=end)
+def _say(*lines: str) -> None:
+    print(*lines, sep="\n")
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

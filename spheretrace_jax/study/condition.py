@@ -100,7 +100,7 @@ def check_condition(
         if not free:
             raise InputError("the scene has neither spheres nor lights: nothing can be free")
         if not GEOMETRY & set(free):
-            # edges say little of colours and lights, and their Jacobian takes two minutes to compile
+            # edges say little of colours and lights; their Jacobian takes two minutes to compile
             scene = scene.with_antialias(0)
         needs = needs_of(scene) if needs is None else needs
         drawn = render_options(scene, width, height, highlight, bounces, samples, needs)
