@@ -21,6 +21,8 @@ from .scene import (
     Spheres as Spheres,
     Texture as Texture,
 )
+from .study.condition import Condition as Condition, check_condition as check_condition
 from .study.gradients import GradientTable as GradientTable, check_gradients as check_gradients
+from .study.stability import StabilityTable as StabilityTable, check_stability as check_stability
 
 __version__ = "0.1.0"

@@ -1,7 +1,7 @@
-"""The command line: `spheretrace render | fit | info | convert | demo`.
+"""The command line: `spheretrace render | fit | check | info | convert | demo`.
 
-Errors that a user can cause are one line and exit status 2; a fit that did not converge exits
-with 1, an interrupted one with 130.
+Errors that a user can cause are one line and exit status 2; a fit that did not converge, or a scene
+that does not check, exits with 1, an interrupted one with 130.
 """
 
 import os
@@ -21,6 +21,7 @@ from tyro.conf import Positional, arg
 from .errors import InputError, SceneWarning
 from .fit.parameters import NAMES
 from .fit.solve import DEFAULT_FREE
+from .progress import busy, fit_with_progress, report_with_progress
 
 Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
 Highlight = Annotated[Literal["phong", "blinn"], arg(help="(R.V)^n or (H.N)^n")]
@@ -72,7 +73,7 @@ class Render(Drawing):
         check_writable(self.output, self.bits)
         scene = load_scene(self.scene, self.dtype)
         start = time.perf_counter()
-        with _busy(f"rendering {width} x {height}"):
+        with busy(f"rendering {width} x {height}"):
             picture = render(
                 scene, width=width, height=height, highlight=self.highlight, bounces=self.bounces,
                 samples=self.samples,
@@ -142,13 +143,13 @@ class FitCommand(Drawing):
         from . import load_scene, read_image, save_scene
         from .files.atomic import check_place
 
-        free = tuple(name.strip() for name in self.free.split(",") if name.strip())
+        free = _names(self.free)
         check_place(self.output)
         _check_folder(self.report)
         scene = load_scene(self.scene, self.dtype)
         target = read_image(self.target, self.colorspace)
         settings = dict(highlight=self.highlight, bounces=self.bounces, samples=self.samples)
-        found = _fit_with_progress(
+        found = fit_with_progress(
             scene, target, free=free, max_steps=self.max_steps, mask=self._mask(),
             darkest=self.darkest, noise=self.noise, loss=self.loss, start=self.start,
             gauge=self.gauge, **settings,
@@ -156,7 +157,7 @@ class FitCommand(Drawing):
         save_scene(self.output, found.scene)
         print(f"{self.output}: {found.trust}")
         if self.report is not None:
-            for file in _report(self.report, found, scene, target, free, settings):
+            for file in report_with_progress(self.report, found, scene, target, free, settings):
                 print(file)
         return 130 if found.interrupted else 0 if found.trust.ok else 1
 
@@ -164,6 +165,38 @@ class FitCommand(Drawing):
         from . import read_image
 
         return None if self.mask is None else (read_image(self.mask) > 0).any(axis=-1)
+
+
+@dataclass
+class Check(Drawing):
+    """See whether a scene's derivatives, its picture in float32 and its fits can be trusted.
+
+    Compares forward mode, reverse mode and differences by every parameter; float32 with float64,
+    and names the worst pixels and why; says what a fit to the scene's own picture would find.
+    Exit status 1: something is not to be trusted.
+    """
+
+    scene: SceneFile
+    size: Annotated[str, arg(metavar="WxH", help="width and height in pixels")] = "64x64"
+    highlight: Highlight = "phong"
+    bounces: Bounces = 5
+    samples: Samples = 1
+    free: Annotated[
+        str | None, arg(metavar="NAMES", help="what a fit would find, as for the command fit")
+    ] = None
+
+    def run(self) -> int:
+        from . import load_scene
+        from .check import check
+
+        width, height = _size(self.size)
+        scene = load_scene(self.scene, "float64")  # as main allows
+        free = None if self.free is None else _names(self.free)
+        sound = check(
+            scene, free, width=width, height=height, highlight=self.highlight,
+            bounces=self.bounces, samples=self.samples,
+        )  # fmt: skip
+        return 0 if sound else 1
 
 
 @dataclass
@@ -179,7 +212,7 @@ class Info:
 
         scene = load_scene(self.scene)
         print_scene(self.scene, scene)
-        with _busy("counting operations"):
+        with busy("counting operations"):
             costs = saved(scene)
         print_needs(scene, costs)
         return 0
@@ -234,14 +267,14 @@ class Demo(Drawing):
         settings = dict(samples=2)
         target = read_image(data / "nine_spheres.png")
         start = wrong_start(truth)
-        found = _fit_with_progress(start, target, **settings)
+        found = fit_with_progress(start, target, **settings)
         self.output.mkdir(parents=True, exist_ok=True)
         smooth = found.scene.with_antialias(1)
         save_scene(self.output / "fitted.txt", smooth)
-        with _busy("rendering the fitted scene"):
+        with busy("rendering the fitted scene"):
             write_image(self.output / "fitted.png", render(smooth))
         files = [self.output / "fitted.txt", self.output / "fitted.png"]
-        files += _report(self.output, found, start, target, DEFAULT_FREE, settings)
+        files += report_with_progress(self.output, found, start, target, DEFAULT_FREE, settings)
         print(f"the fit {found.trust.verdict}")
         print("largest error against the file that POV-Ray rendered:")
         pairs = zip(determined(found.scene).items(), determined(start).values(), strict=True)
@@ -257,7 +290,10 @@ def main() -> None:
     """The entry point of the `spheretrace` program."""
     import jax
 
-    commands = {"render": Render, "fit": FitCommand, "info": Info, "convert": Convert, "demo": Demo}
+    commands = {
+        "render": Render, "fit": FitCommand, "check": Check, "info": Info, "convert": Convert,
+        "demo": Demo,
+    }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(
         commands,
         prog="spheretrace",
@@ -265,7 +301,9 @@ def main() -> None:
         config=(tyro.conf.OmitArgPrefixes,),
     )
     warnings.showwarning = _show_warning
-    double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, Convert)
+    double = getattr(command, "dtype", "float32") == "float64" or isinstance(
+        command, Convert | Check
+    )
     try:
         _check_counts(command)
         if (cache := getattr(command, "cache", None)) is not None:
@@ -304,6 +342,10 @@ def _size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def _check_counts(command) -> None:
     for name, least in (("bounces", 0), ("samples", 1), ("max_steps", 1)):
         value = getattr(command, name, None)
@@ -340,56 +382,6 @@ def _data_folder() -> Path:
             "the demo's data are missing from this installation: reinstall the package"
         )
     return folder
-
-
-def _busy(text: str):
-    """A spinner while something takes longer than a blink."""
-    from rich.console import Console
-
-    return Console(stderr=True).status(text)
-
-
-def _fit_with_progress(scene, target, **settings):
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from . import fit
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True)
-    hidden = not console.is_terminal  # where it would leave an empty line
-    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
-        task = bar.add_task("compiling", total=None)
-
-        def show(state) -> None:
-            bar.update(
-                task,
-                completed=state.step,
-                total=state.max_steps,
-                description=f"cost {state.cost:.3e}, damping {state.damping:.0e}",
-            )
-
-        return fit(scene, target, callback=show, **settings)
-
-
-def _report(folder: Path, found, start, target, free, settings) -> list[Path]:
-    import numpy as np
-
-    from . import render
-    from .report import write_report
-
-    height, width = target.shape[:2]
-    with _busy("writing the report"):
-        before, after = (
-            np.asarray(render(scene, width=width, height=height, **settings))
-            for scene in (start, found.scene)
-        )
-        return write_report(folder, found, start, target, before, after, free)
 
 
 if __name__ == "__main__":

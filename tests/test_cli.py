@@ -155,6 +155,28 @@ def test_info_shows_the_first_of_many_spheres(spheretrace):
     assert status == 0 and "and 10 more spheres" in out
 
 
+CHECK = ("check", "scene.txt", "--size", "16x12", "--bounces", "0")
+
+
+def test_check_says_that_all_is_well_or_what_is_not(spheretrace):
+    status, out, err = spheretrace(*CHECK)
+    assert (status, err) == (0, "")
+    text = " ".join(out.split())
+    assert "derivatives: forward mode, reverse mode and differences agree" in text
+    assert re.search(r"spheres.exponent ( *\d\.\de[+-]\d\d){3} +0 +yes", text)
+    assert "left out, as every kgr is 0: planes kgr; spheres kgr left out, as every kt is 0" in text
+    assert "single rays, which have no derivative where an edge moves" in text
+    assert "float32 shows the same as float64" in text
+    assert "a fit of color, ka, kd, ks, light_position is well conditioned: 13 of 15" in text
+    assert "spheres 1, 2: the scale of color against ka and kd is not determined" in text
+    # the same programs with a highlight that float32 cannot draw
+    Path("scene.txt").write_text(TEXT.replace(".3   8", ".3   1e6").replace(".4  12", ".4  1e5"))
+    status, out, err = spheretrace(*CHECK, "--free", "light_position, kd")
+    text = " ".join(out.split())
+    assert (status, err) == (1, "")
+    print(out)
+
+
 def test_convert_writes_a_scene_for_povray(spheretrace):
     status, out, err = spheretrace("convert", "scene.txt", "out.pov", "--highlight", "blinn")
     assert (status, err) == (0, "")
@@ -260,6 +282,18 @@ FREE = (
 )
 
 MISTAKES = {
+    "a bad scene to check": (
+        "check bad.txt",
+        "bad.txt:6:9: radius must be greater than 0, got -80",
+    ),
+    "unknown names to check": (
+        "check scene.txt --free kd,colour",
+        f"free parameters must be among {FREE}, got colour",
+    ),
+    "bounces below 0 to check": (
+        "check scene.txt --bounces -1",
+        "--bounces must be at least 0, got -1",
+    ),
     "missing scene": (
         "render no.txt -o out.png",
         "no.txt: cannot read the scene: No such file or directory",
@@ -467,6 +501,7 @@ HELP = {
         *("light_position", "--highlight {phong,blinn}", "--max-steps N", "--report DIR"),
         *("cost curve", "--dtype", "when it is interrupted", "Exit status 1", "--cache DIR"),
     ],
+    "check": ["SCENE", "--size WxH", "--free NAMES", "the worst pixels and why"],
     "info": ["SCENE", "what is left out and why"],
     "convert": ["SCENE", "OUT.pov", "POV-Ray"],
     "demo": ["-o DIR", "the folder to write to", "POV-Ray", "from a wrong start", "--cache DIR"],

@@ -20,7 +20,9 @@ CORE = """
     lists needs options outlines paths peel penumbra phases possible render scene shading sharding
     texture varying vec visibility world
 """.split()
-OUTER = tuple(f"{PACKAGE}.{name}" for name in ("files", "report", "info", "cli", "demo"))
+OUTER = tuple(
+    f"{PACKAGE}.{name}" for name in ("files", "report", "info", "check", "progress", "cli", "demo")
+)
 HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")
 
 
@@ -82,8 +84,8 @@ def test_the_core_knows_nothing_around_it(module):
 
 
 def test_every_module_beside_the_core_has_a_known_place():
-    known = ("files", "fit", "study", "report", "info", "cli", "demo", *CORE)
-    places = (PACKAGE, *(f"{PACKAGE}.{name}" for name in known))
+    known = (f"{PACKAGE}.fit", f"{PACKAGE}.study", *OUTER)
+    places = (PACKAGE, *known, *(f"{PACKAGE}.{name}" for name in CORE))
     assert [name for name in FILES if name != PACKAGE and not within(name, places[1:])] == []
 
 
@@ -128,7 +130,8 @@ def test_no_import_is_a_cycle():
 
 def test_only_programs_import_the_whole_package():
     users = {name for name in FILES if PACKAGE in imports(name)}
-    assert users <= {f"{PACKAGE}.cli", f"{PACKAGE}.report", f"{PACKAGE}.files.images"}
+    programs = ("cli", "progress", "report", "files.images")
+    assert users <= {f"{PACKAGE}.{name}" for name in programs}
     assert not [name for name in users if PACKAGE in imports(name, when_loaded=True)]
 
 

@@ -44,8 +44,8 @@ def strays(problem: Problem, values: PyTree, cost: float) -> list[Bool[np.ndarra
 
 
 def _least(target: Target) -> float:
-    """What numbers may be off by for reasons of rounding."""
-    return float(4 * np.sqrt(np.finfo(target.image.dtype).eps) * target.size)
+    """What numbers may be off by for reasons of rounding; of a black picture as of a white one."""
+    return float(4 * np.sqrt(np.finfo(target.image.dtype).eps) * (target.size or 1.0))
 
 
 def _far(

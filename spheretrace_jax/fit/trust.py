@@ -18,6 +18,10 @@ from .target import Target
 # that, it says that the scene does not explain the picture.
 _UNEXPLAINED, _UNEXPLAINED_8_BIT = 1e-3, 1e-2
 
+# Free numbers fit as much of any noise as there are of them, give or take so many standard
+# deviations: a scene that fits no more than that of a picture explains nothing.
+_CHANCE = 5
+
 
 class Trust(eqx.Module):
     """What to think of a fit."""
@@ -57,7 +61,8 @@ def judge(fit) -> Trust:
     worst = int(np.argmax([part for part, _, _ in parts]))
     unexplained, where, limit = parts[worst]
     explains = unexplained <= limit
-    ok, resting = fit.converged and not fit.interrupted and explains, []
+    nothing = _explains_nothing(fit)
+    ok, resting = fit.converged and not fit.interrupted and explains and not nothing, []
     if ok:
         off = strays(fit.problem, fit.values, fit.cost)
         resting = resting_on(off, fit.problem, fit.values)
@@ -70,12 +75,27 @@ def judge(fit) -> Trust:
     elif not explains:
         picture = f" {worst + 1}" if len(fit.scenes) > 1 else ""
         end = f"converged, but does NOT explain picture{picture}: {unexplained:.1%} left, {where}"
+    elif nothing:
+        end = "converged, but explains NO more of the picture than it would of noise"
     elif resting:
         end = f"converged, but what tells of {listed(resting)} does NOT fit"
     else:
         end = "converged"
     verdict = f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
     return Trust(ok=ok and not resting, verdict=verdict, unexplained=unexplained, fit=fit)
+
+
+def _explains_nothing(fit) -> bool:
+    """Whether the fit leaves as much of the pictures as it would of noise."""
+    all_of_it, left, free = (
+        fit.problem.length**2,
+        2 * fit.cost,
+        fit.problem.at_bounds(fit.values).size,
+    )
+    if not all_of_it or fit.problem.targets[0].loss != "square":
+        return False
+    chance = (free + _CHANCE * np.sqrt(2 * free)) * left / fit.counted
+    return bool(all_of_it - left <= chance)
 
 
 def explains(problem: Problem, values: PyTree, cost: float) -> bool:

@@ -1,0 +1,55 @@
+"""What the command line shows while something takes longer than a blink."""
+
+from pathlib import Path
+
+
+def busy(text: str):
+    """A spinner, as a context."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(text)
+
+
+def fit_with_progress(scene, target, **settings):
+    """`fit` with a bar that shows its steps. **Arguments:** as for `fit`."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from . import fit
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    console = Console(stderr=True)
+    hidden = not console.is_terminal  # where it would leave an empty line
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
+        task = bar.add_task("compiling", total=None)
+
+        def show(state) -> None:
+            bar.update(
+                task,
+                completed=state.step,
+                total=state.max_steps,
+                description=f"cost {state.cost:.3e}, damping {state.damping:.0e}",
+            )
+
+        return fit(scene, target, callback=show, **settings)
+
+
+def report_with_progress(folder: Path, found, start, target, free, settings) -> list[Path]:
+    """Writes a fit's report. **Arguments:** as for `write_report`; `settings`: of the pictures."""
+    import numpy as np
+
+    from . import render
+    from .report import write_report
+
+    height, width = target.shape[:2]
+    with busy("writing the report"):
+        before, after = (
+            np.asarray(render(scene, width=width, height=height, **settings))
+            for scene in (start, found.scene)
+        )
+        return write_report(folder, found, start, target, before, after, free)

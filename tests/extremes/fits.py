@@ -1,0 +1,246 @@
+"""Fits in stiff valleys and to hopeless targets.
+
+Three spheres and a light or two, 48 x 48 pixels, in float64, single rays. Where not said otherwise
+color, ka, kd, ks and the lights' positions are free and start 10 % off, lights some degrees and a
+fifth too far. "Right" is an error of at most 1e-7 in ka color, kd color and ks where the fit says
+that it knows them to 1e-3, and in the lights' directions and inverse distances.
+"""
+
+import equinox as eqx
+import numpy as np
+from scenes import three_apart as scene
+
+import spheretrace_jax as st
+from extremes.case import Case, case
+from spheretrace_jax.fit.solve import DEFAULT_FREE
+
+SIZE = dict(width=48, height=48)
+LIGHT = [900.0, -400, 700]
+IN_FRONT = [[-90.0, 60, 0], [10, -10, 40], [110, -110, 180]]
+RIGHT = "converges and is right"
+
+
+def off(truth: st.Scene, exponent: bool = False) -> st.Scene:
+    """The start: all that is free is wrong."""
+    s = truth.spheres
+    turn = np.array([[0.995, -0.1, 0], [0.1, 0.995, 0], [0, 0, 1]])
+    places = lambda x: (x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks)
+    wrong = [x * 0.9 for x in (s.color, s.ka, s.kd, s.ks)]
+    start = eqx.tree_at(places, truth, wrong)
+    start = eqx.tree_at(lambda x: x.lights.position, start, truth.lights.position @ turn * 1.2)
+    if exponent:
+        start = eqx.tree_at(lambda x: x.spheres.exponent, start, s.exponent * 1.3)
+    return start
+
+
+def fitted(truth: st.Scene, target=None, exponent: bool = False) -> st.Fit:
+    """The fit to a scene's picture, or to another target, from a wrong start."""
+    target = np.asarray(st.render(truth, bounces=0, **SIZE)) if target is None else target
+    free = (*DEFAULT_FREE, *(["exponent"] * exponent))
+    return st.fit(off(truth, exponent), target, free=free, bounces=0)
+
+
+PRODUCTS = {
+    "ka color": lambda s: s.spheres.ka[:, None] * s.spheres.color,
+    "kd color": lambda s: s.spheres.kd[:, None] * s.spheres.color,
+    "ks": lambda s: s.spheres.ks,
+}
+
+
+def product_error(found: st.Fit, truth: st.Scene) -> tuple[float, float]:
+    """The largest error of what the fit says it knows, and which part of all that is."""
+    worst, known = 0.0, []
+    for product in PRODUCTS.values():
+        knows = found.uncertainty.of(product) < 1e-3
+        error = np.abs(np.asarray(product(found.scene) - product(truth)))
+        worst = max(worst, float(np.max(error, where=knows, initial=0)))
+        known.append(knows.reshape(-1))
+    return worst, float(np.concatenate(known).mean())
+
+
+def light_error(found: st.Fit, truth: st.Scene) -> float:
+    """In direction and inverse distance, which is all that a picture tells of what is far."""
+    worst = 0.0
+    for x, y in zip(found.scene.lights.position, truth.lights.position, strict=True):
+        lengths = np.linalg.norm(x), np.linalg.norm(y)
+        direction = np.abs(np.asarray(x) / lengths[0] - np.asarray(y) / lengths[1]).max()
+        worst = max(worst, float(direction), abs(100 / lengths[0] - 100 / lengths[1]))
+    return worst
+
+
+def comes_back(tried: str, truth: st.Scene, exponent: bool = False, slow: bool = False) -> Case:
+    """A valley along which the fit finds the scene again."""
+
+    def check() -> str:
+        found = fitted(truth, exponent=exponent)
+        (error, known), light = product_error(found, truth), light_error(found, truth)
+        assert found.trust.ok, found.trust.verdict
+        assert known >= 0.6, f"only {known:.0%} of the products are known"
+        assert error <= 1e-7 and light <= 1e-7, f"off by {error:.1e}, the light by {light:.1e}"
+        return f"{found.steps} steps; products to {error:.0e}, light to {light:.0e}"
+
+    return Case(tried, RIGHT, check, slow=slow)
+
+
+FAINT = [[1e-6, 2e-6, 1e-6], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]]
+
+VALLEYS = [
+    comes_back("highlights of a pixel: exponents 10,000, 1000, 300",
+        scene(LIGHT, exponent=[1e4, 1e3, 300])),
+    comes_back("exponents of 0.01", scene(LIGHT, exponent=0.01)),
+    comes_back("a colour of 1e-6", scene(LIGHT, color=FAINT)),
+    comes_back("a light at 1e5 radii", scene([1e7, -4e6, 7e6])),
+    comes_back("a light at 1e6 radii", scene([1e8, -4e7, 7e7])),
+    comes_back("a light at 1e12 radii", scene([1e14, -4e13, 7e13])),
+    comes_back("a light that grazes a sphere, 10 from it", scene([-90.0, 60, 90])),
+    comes_back("ks of 1e-6", scene(LIGHT, ks=1e-6)),
+    comes_back("spheres in one another's shadow", scene([300.0, -300, 600], center=IN_FRONT)),
+    comes_back("wide highlights of unknown exponents 1, 3, 2",
+        scene(LIGHT, exponent=[1.0, 3, 2]), exponent=True, slow=True),
+    comes_back("two lights 5 degrees apart", scene(LIGHT, [850.0, -480, 720]), slow=True),
+    comes_back("two lights half a degree apart", scene(LIGHT, [895.0, -408, 702]), slow=True),
+]  # fmt: skip
+
+
+def says(tried: str, truth: st.Scene, *words: str) -> Case:
+    """Something that the picture does not tell: the fit is right in the rest, and says so."""
+
+    def check() -> str:
+        found = fitted(truth)
+        (error, known), said = product_error(found, truth), str(found.trust).splitlines()
+        assert found.trust.ok, found.trust.verdict
+        assert error <= 1e-7, f"what the fit says it knows is off by {error:.1e}"
+        for sentence in words:
+            assert sentence in said, f"{sentence!r} is not in {said}"
+        return f"{known:.0%} of the products are known, to {error:.0e}; says: {'; '.join(words)}"
+
+    return Case(tried, "is right in what it says it knows, and says what it cannot know", check)
+
+
+ALL_OF_IT = "color, ka, kd and ks not determined"
+BLACK = [[0.0, 0, 0], *FAINT[1:]]
+NO_LIGHT = "no light reaches what is seen of"
+
+HIDDEN = [
+    says("a sphere in the full shadow of another",
+        scene([300.0, -300, 600], center=[[-90.0, 60, 0], [-170, 140, -160], [110, -110, 180]]),
+        f"{NO_LIGHT} sphere 2: kd and ks not determined"),
+    says("a light behind everything", scene([300.0, -300, -60000]),
+        *(f"{NO_LIGHT} sphere {i}: kd and ks not determined" for i in (1, 2, 3)),
+        "light 1 reaches nothing that is seen: position not determined"),
+    says("a sphere outside the picture",
+        scene(LIGHT, center=[[-90.0, 60, 0], [1e5, 0, 0], [10, -90, -40]]),
+        f"sphere 2 is not visible: {ALL_OF_IT}"),
+    says("a sphere behind another",
+        scene(LIGHT, center=[[-90.0, 60, 0], [-90, 60, -100], [10, -90, -40]],
+            radius=[80.0, 10, 90]),
+        f"sphere 2 is not visible: {ALL_OF_IT}"),
+    says("a sphere inside another",
+        scene(LIGHT, center=[[-90.0, 60, 0], [-90, 60, 0], [10, -90, -40]], radius=[80.0, 79, 90]),
+        f"sphere 2 is not visible: {ALL_OF_IT}"),
+    says("a sphere of 1e-3 pixels",
+        scene(LIGHT, radius=[80.0, 0.01, 90]), f"sphere 2 is not visible: {ALL_OF_IT}"),
+    says("a colour of 0", scene(LIGHT, color=BLACK),
+        "sphere 1 is black: ka and kd not determined"),
+    says("colours and ks of 0", scene(LIGHT, color=np.zeros((3, 3)), ks=0.0),
+        *(f"sphere {i} is black: ka and kd not determined" for i in (1, 2, 3)),
+        "light 1 does not show: position not determined"),
+    says("highlights smaller than a pixel: exponents of 1e6", scene(LIGHT, exponent=1e6),
+        *(f"no highlight is seen on sphere {i}: ks not determined" for i in (1, 2, 3))),
+]  # fmt: skip
+
+TRUTH = scene(LIGHT)
+SHAPE = (SIZE["height"], SIZE["width"], 3)
+
+
+def picture() -> np.ndarray:
+    return np.asarray(st.render(TRUTH, bounces=0, **SIZE))
+
+
+def noise() -> np.ndarray:
+    return np.random.default_rng(0).standard_normal(SHAPE)
+
+
+def not_explained(tried: str, target, verdict: str, slow: bool = False) -> Case:
+    """A target that the scene cannot look like."""
+
+    def check() -> str:
+        found = fitted(TRUTH, target())
+        assert not found.trust.ok and verdict in found.trust.verdict, found.trust.verdict
+        return found.trust.verdict
+
+    return Case(tried, "is not trusted, and says why", check, slow=slow)
+
+
+def refused(tried: str, target, message: str) -> Case:
+    """A target that is none."""
+
+    def check() -> str:
+        try:
+            fitted(TRUTH, target())
+        except st.InputError as error:
+            assert message in str(error), error
+            return f"{type(error).__name__}: {error}"
+        raise AssertionError("no error")
+
+    return Case(tried, "is refused in one line", check)
+
+
+def spoiled() -> np.ndarray:
+    some = picture().copy()
+    some[3, 4, 1] = np.nan
+    return some
+
+
+NOT, NOTHING = "does NOT explain picture", "NO more of the picture than it would of noise"
+TARGETS = [
+    not_explained("a target that is 0.5 everywhere", lambda: np.full(SHAPE, 0.5), NOT),
+    not_explained("a target 50 times too bright", lambda: 50 * picture(), NOT, slow=True),
+    not_explained("a target of 1e-30", lambda: 1e-30 * picture(), NOT),
+    not_explained("a target of 1e300", lambda: np.full(SHAPE, 1e300), "NOT converged"),
+    not_explained("a negative target", lambda: -picture(), NOT),
+    not_explained("a target upside down", lambda: picture()[::-1], NOT),
+    not_explained("a target of noise in 0..1", lambda: np.random.default_rng(0).random(SHAPE), NOT),
+    not_explained("a target of normal noise", noise, NOTHING),
+    not_explained("a picture in noise of 10", lambda: picture() + 10 * noise(), NOTHING),
+    refused("a target that is 1 everywhere", lambda: np.ones(SHAPE), "is clipped"),
+    refused("a target of nan", lambda: np.full(SHAPE, np.nan), "6912 numbers that are nan or inf"),
+    refused("a target with one nan", spoiled, "1 numbers that are nan or inf"),
+    refused("a target of inf", lambda: np.full(SHAPE, np.inf), "6912 numbers that are nan or inf"),
+    refused("a target without colours", lambda: np.zeros((48, 48)), "(height, width, 3)"),
+    refused("a target with alpha", lambda: np.zeros((48, 48, 4)), "(height, width, 3)"),
+    refused("a target without rows", lambda: np.zeros((0, 48, 3)), "(height, width, 3)"),
+    refused("a target of integers", lambda: np.zeros(SHAPE, int), "linear floating numbers"),
+]  # fmt: skip
+
+
+@case("a target that is 0 everywhere", "the scene is black, and says what that leaves open")
+def black_target() -> str:
+    found = fitted(TRUTH, np.zeros(SHAPE))
+    assert found.trust.ok, found.trust.verdict
+    left = float(np.abs(np.asarray(st.render(found.scene, bounces=0, **SIZE))).max())
+    assert left <= 1e-9
+    known = found.identifiability
+    assert known.rank < known.free and known.undetermined
+    return f"black to {left:.0e}; says: {'; '.join(known.undetermined)}"
+
+
+@case("a picture cut to its left half", "is not trusted, and says why", slow=True)
+def half_target() -> str:
+    found = fitted(TRUTH, picture()[:, :24])
+    assert not found.trust.ok and NOT in found.trust.verdict, found.trust.verdict
+    return found.trust.verdict
+
+
+@case(
+    "two lights 0.001 degrees apart, of one colour",
+    "what both do is right; says that they cannot be told apart",
+    slow=True,
+)
+def lights_at_one_place() -> str:
+    truth = scene(LIGHT, np.array(LIGHT) * 1.0 + [0.01, 0.01, 0.01])
+    found = fitted(truth)
+    assert found.trust.ok, found.trust.verdict
+    error, _ = product_error(found, truth)
+    assert error <= 1e-6
+    return f"products to {error:.0e}; says: {'; '.join(found.trust.remarks)}"
