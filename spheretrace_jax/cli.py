@@ -257,6 +257,28 @@ def main() -> None:
     """The entry point of the `spheretrace` program."""
     import jax
 
+    try:
+        status = _run()
+        print(end="", flush=True)
+    except (InputError, OSError) as error:
+        print(f"spheretrace: {_one_line(error)}", file=sys.stderr)
+        status = 2
+    except (MemoryError, jax.errors.JaxRuntimeError) as error:
+        if isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        print("spheretrace: there is not enough memory for this picture", file=sys.stderr)
+        status = 2
+    except KeyboardInterrupt:
+        print("spheretrace: interrupted", file=sys.stderr)
+        status = 130
+    _forget_unprinted()
+    sys.exit(status)
+
+
+def _run() -> int:
+    """Does what the words of the command line ask for."""
+    import jax
+
     commands = {"render": Render, "fit": FitCommand, "info": Info, "convert": Convert, "demo": Demo}
     command = tyro.extras.subcommand_cli_from_dict(
         commands,
@@ -266,25 +288,26 @@ def main() -> None:
     )
     warnings.showwarning = _show_warning
     double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, Convert)
-    try:
-        _check_counts(command)
-        if (cache := getattr(command, "cache", None)) is not None:
-            _keep_compiled(cache)
-        with jax.enable_x64(True) if double else nullcontext():
-            status = command.run()
-    except (InputError, OSError) as error:
-        print(f"spheretrace: {_one_line(error)}", file=sys.stderr)
-        status = 2
-    except KeyboardInterrupt:
-        print("spheretrace: interrupted", file=sys.stderr)
-        status = 130
-    sys.exit(status)
+    _check_counts(command)
+    if (cache := getattr(command, "cache", None)) is not None:
+        _keep_compiled(cache)
+    with jax.enable_x64(True) if double else nullcontext():
+        return command.run()
 
 
 def _one_line(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno is not None:
+        # files are named where they are written
+        return f"{error.filename or 'standard output'}: {error.strerror}"
     return " ".join(str(error).split())
+
+
+def _forget_unprinted() -> None:
+    """Or Python itself would complain at its end of a full disk or a closed pipe."""
+    try:
+        print(end="", flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
@@ -312,9 +335,15 @@ def _check_counts(command) -> None:
 
 
 def _check_folder(folder: Path | None) -> None:
-    """Says early that there is a file where a folder is to be."""
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder to write to, this is a file")
+    """Says early that a folder can neither be written to nor made."""
+    if folder is None:
+        return
+    there = next(f for f in (folder, *folder.parents) if f.exists())
+    if not there.is_dir():
+        what = "this" if there == folder else there
+        raise InputError(f"{folder}: expected a folder to write to, {what} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: the folder {there} cannot be written to")
 
 
 def _keep_compiled(folder: Path) -> None:
@@ -323,8 +352,6 @@ def _keep_compiled(folder: Path) -> None:
 
     _check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder, os.R_OK | os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: this folder cannot be written to")
     jax.config.update("jax_compilation_cache_dir", str(folder.resolve()))
     # every program: by itself JAX keeps none that took less than a second, as most of ours do
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
