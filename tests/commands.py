@@ -5,6 +5,7 @@ import io
 import os
 import subprocess
 import sys
+import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,6 +48,15 @@ def fill(folder: Path) -> None:
         lambda s: (s.spheres.kd, s.spheres.ks), truth, (jnp.full(2, 0.4), jnp.full(2, 0.2))
     )
     st.save_scene(folder / "start.txt", wrong)
+
+
+@contextlib.contextmanager
+def workplace() -> Iterator[Path]:
+    """The present folder, for a while: a new one with these files, that everybody may read."""
+    with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
+        Path(name).chmod(0o755)
+        fill(Path(name))
+        yield Path(name)
 
 
 def spheretrace(*words: object) -> tuple[int, str, str]:

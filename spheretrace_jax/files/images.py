@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args
+from unicodedata import category
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +38,10 @@ _SHORT_TEXT = 60_000  # bytes: JPEG ends the program on a text of 64 kB, TIFF cu
 #: Larger pictures are refused before any memory is taken: a header may promise anything.
 MOST_PIXELS = 1 << 28
 
+# Pixels per byte, more than black pictures have: one bit each, and deflate's 1032 to 1; JPEG's
+# blocks of 64 take a bit. Of a JPEG that is cut short libjpeg makes up what its header promises.
+_DENSE, _DENSEST = 10_000, {"jpeg": 1000}
+
 
 def _is_linear(path: Path, colorspace: Colorspace) -> bool:
     if colorspace not in get_args(Colorspace):
@@ -50,8 +55,9 @@ def read_image(
 ) -> Float[np.ndarray, "height width 3"]:
     """Reads a picture as linear RGB in float32, row 0 at the top.
 
-    A picture of one channel is grey. Alpha means over black: colours are multiplied by it. Numbers
-    that are nan or inf in a floating file stay what they are.
+    OpenImageIO knows many formats, of which GIF is refused. A picture of one channel is grey. Alpha
+    means over black: colours are multiplied by it. Numbers that are nan or inf in a floating file
+    stay what they are.
 
     **Arguments:** `colorspace`: how the file's numbers are coded: `"linear"`, `"srgb"`, or
     `"auto"` for linear in EXR and HDR files and sRGB in all others.
@@ -62,10 +68,18 @@ def read_image(
 
     path = Path(path)
     linear = _is_linear(path, colorspace)
+    _check_name(path)
     if os.path.isdir(path):  # which, unlike Path's, knows no name that is too long
         raise PictureError(f"{path}: expected a picture, this is a folder")
     if not os.path.isfile(path):
         raise PictureError(f"{path}: there is no such picture")
+    try:
+        with open(path, "rb") as file:
+            start = file.read(4)
+    except OSError as error:
+        raise PictureError(f"{path}: cannot be read as a picture: {error.strerror}") from None
+    if start == b"GIF8":  # OpenImageIO takes what memory its header promises before we can look
+        raise PictureError(f"{path}: cannot be read as a picture: GIF files are not read")
     hint = oiio.ImageSpec()
     hint.attribute("oiio:UnassociatedAlpha", 1)  # colour is decoded first, alpha multiplied after
     with _silence():
@@ -74,7 +88,7 @@ def read_image(
         raise PictureError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
     try:
         spec = source.spec()
-        _check_size(path, spec)
+        _check_size(path, source)
         with _silence():
             pixels = source.read_image(oiio.FLOAT)
         if pixels is None or source.has_error:  # of a JPEG cut short it gives pixels and an error
@@ -95,19 +109,27 @@ def read_image(
     return color if alpha is None or premultiplied else color * alpha
 
 
-def _check_size(path: Path, spec: Any) -> None:
-    """Refuses what a file's header promises, before any memory is taken."""
+def _check_name(path: Path) -> None:
+    if any(category(c) == "Cs" for c in str(path)):  # which OpenImageIO cannot be told
+        raise PictureError(f"{printable(str(path))}: the name of a picture must be UTF-8")
+
+
+def _check_size(path: Path, source: Any) -> None:
+    """Refuses what a file's header promises and cannot be true, before any memory is taken."""
+    spec = source.spec()
     pixels, channels = spec.width * spec.height, spec.nchannels
+    most = min(MOST_PIXELS, _DENSEST.get(source.format_name(), _DENSE) * os.path.getsize(path))
     if (
         min(spec.width, spec.height, channels) < 1
-        or pixels > MOST_PIXELS
+        or pixels > most
         or pixels * channels > 4 * MOST_PIXELS
         or spec.depth > 1
     ):
         size = f"{spec.width} x {spec.height} x {spec.depth}"
         of = f" of {channels} numbers" if channels > 4 else ""
+        reason = "" if most == MOST_PIXELS else ", as the file is short"
         raise PictureError(
-            f"{path}: expected a picture of at most {MOST_PIXELS} pixels, got {size}{of}"
+            f"{path}: expected a picture of at most {most} pixels{reason}, got {size}{of}"
         )
 
 
@@ -183,6 +205,7 @@ def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
         raise PictureError(f"{path}: expected a picture file ({formats}), got {ending!r}")
     _kind(path, ending, bits)
     check_place(path)
+    _check_name(path.resolve())
 
 
 def to_srgb(image: ArrayLike) -> Float[np.ndarray, "height width 3"]:

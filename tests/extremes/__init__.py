@@ -1,3 +1,5 @@
 """The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
 
-PARTS = []
+from . import files
+
+PARTS = [files]
