@@ -24,5 +24,6 @@ from .scene import (
 from .study.condition import Condition as Condition, check_condition as check_condition
 from .study.gradients import GradientTable as GradientTable, check_gradients as check_gradients
 from .study.stability import StabilityTable as StabilityTable, check_stability as check_stability
+from .study.study import Study as Study, study as study
 
 __version__ = "0.1.0"

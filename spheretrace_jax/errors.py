@@ -15,3 +15,8 @@ class PictureError(InputError):
 
 class SceneWarning(UserWarning):
     """A scene that can be used but breaks a rule, or cannot give what is asked of it."""
+
+
+def printable(text: str) -> str:
+    """What is quoted from a file, on one line and with no power over the terminal."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

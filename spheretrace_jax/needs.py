@@ -59,14 +59,15 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
 
     **Returns:** the needs, to pass to `render(..., needs=...)`, also under jit, grad and vmap.
 
-    **Raises:** `InputError` for unknown names in `free`, and under a trace, where the numbers are
-    not known.
+    **Raises:** `InputError` for unknown names in `free`, for dtypes that no scene may have, and
+    under a trace, where the numbers are not known.
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError(
             "the needs of a scene depend on its numbers, which are not known under jit, grad or "
             "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
         )
+    scene.check_dtype()
     free = _names(free)
     spheres, planes = scene.spheres, scene.planes
 

@@ -48,6 +48,7 @@ def options(
     sharding: NamedSharding | None = None,
 ) -> Options:
     """Checks and completes the static arguments of `render`."""
+    scene.check_dtype()
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
         if value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")

@@ -53,3 +53,29 @@ def report_with_progress(folder: Path, found, start, target, free, settings) -> 
             for scene in (start, found.scene)
         )
         return write_report(folder, found, start, target, before, after, free)
+
+
+def study_with_progress(scene, **settings):
+    """`study` with a bar that shows its parts. **Arguments:** as for `study`."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from .study.study import study
+
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        parts = settings["parts"]
+        task = bar.add_task("", total=len(parts))
+
+        def say(part: str, text: str) -> None:
+            bar.update(task, completed=parts.index(part), description=text)
+
+        return study(scene, say=say, **settings)

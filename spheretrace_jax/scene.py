@@ -17,16 +17,26 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ._types import Scalar
+from .errors import InputError
+
+
+def precision(dtype: Any) -> np.dtype:
+    """A scene's dtype. **Raises:** `InputError` if it is neither float32 nor float64."""
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise InputError(f"a scene's dtype must be float32 or float64, got {np.dtype(dtype)}")
+    return np.dtype(dtype)
 
 
 def _floats(*values: Any) -> list[Array]:
     """The values as arrays of one floating dtype.
 
-    Python numbers and lists follow the floating arrays beside them; where there are none, all
-    take JAX's default dtype.
+    Python numbers, lists and arrays of whole numbers follow the floating arrays beside them; where
+    there are none, all take JAX's default dtype.
+
+    **Raises:** `InputError` for arrays of other dtypes.
     """
     typed = {v.dtype for v in values if isinstance(v, jax.Array | np.ndarray)}
-    typed = {t for t in typed if jnp.issubdtype(t, jnp.floating)}
+    typed = {precision(t) for t in typed if not jnp.issubdtype(t, jnp.integer)}
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(*typed) if typed else float)
     return [jnp.asarray(v, dtype) for v in values]
 
@@ -224,7 +234,12 @@ class Camera(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """A world of spheres, and who looks at it."""
+    """A world of spheres, and who looks at it.
+
+    All arrays are float32 or all float64. Whole numbers are converted; half precision, which ends
+    at 65504 and keeps three digits, is refused in all parts of a scene, as are bool and complex
+    arrays.
+    """
 
     spheres: Spheres
     lights: Lights
@@ -250,7 +265,8 @@ class Scene(eqx.Module):
     ):
         """**Arguments:** as the fields. Everything is brought to the floating dtype of `spheres`.
 
-        **Raises:** `ValueError` for a texture number without a texture.
+        **Raises:** `ValueError` for a texture number without a texture; `InputError`, which is one,
+        for a dtype that no scene may have.
         """
         parts = (
             lights,
@@ -298,5 +314,14 @@ class Scene(eqx.Module):
         return Scene(**parts)
 
     def astype(self, dtype: Any) -> "Scene":
-        """The same scene in another floating dtype."""
-        return jax.tree.map(lambda leaf: leaf.astype(dtype), self)
+        """The same scene in float32 or float64. **Raises:** `InputError` for other dtypes."""
+        chosen = precision(dtype)
+        return jax.tree.map(lambda leaf: leaf.astype(chosen), self)
+
+    def check_dtype(self) -> None:
+        """**Raises:** `InputError` if arrays were given a dtype that no scene may have.
+
+        For what is put in place of its arrays, by `jax.tree.map` or `eqx.tree_at`.
+        """
+        for leaf in jax.tree.leaves(self):
+            precision(leaf.dtype)

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -107,3 +108,15 @@ def three_spheres(antialias: int = 0) -> st.Scene:
     )  # fmt: skip
     camera = st.Camera(-np.pi / 2, 0.0, 500.0, 800.0)
     return st.Scene(spheres, st.Lights([[200.0, 300, 500]]), camera, antialias=antialias)
+
+
+def assert_same(a: st.Scene, b: st.Scene) -> None:
+    """Equal in every bit, -0 and subnormal numbers too, and in what is static."""
+    (a_arrays, a_static), (b_arrays, b_static) = (
+        eqx.partition(a, eqx.is_array),
+        eqx.partition(b, eqx.is_array),
+    )
+    assert jax.tree.structure(a_static) == jax.tree.structure(b_static)
+    for x, y in zip(jax.tree.leaves(a_arrays), jax.tree.leaves(b_arrays), strict=True):
+        assert (x.dtype, x.shape) == (y.dtype, y.shape)
+        assert np.asarray(x).tobytes() == np.asarray(y).tobytes()

@@ -368,6 +368,40 @@ def test_pictures_with_too_many_pixels_are_refused(tmp_path, monkeypatch):
     assert st.read_image(tmp_path / "a.png").shape == (5, 7, 3)
 
 
+def test_a_gif_is_refused(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"GIF89a" + struct.pack("<HH", 32_000, 32_000) + b"\0" * 99)
+    assert refused(tmp_path / "a.png") == "cannot be read as a picture: GIF files are not read"
+
+
+def test_names_that_are_no_utf_8_are_refused(tmp_path):
+    file = tmp_path / "\udcff.png"
+    for use in (lambda: st.write_image(file, noise()), lambda: st.read_image(file)):
+        with pytest.raises(
+            st.PictureError, match=r"udcff\.png: the name of a picture must be UTF-8$"
+        ):
+            use()
+
+
+def test_a_name_that_is_too_long_is_of_no_picture(tmp_path):
+    assert refused(tmp_path / ("x" * 300)) == "there is no such picture"
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, bool, complex])
+def test_pictures_of_other_numbers_are_not_written(dtype, tmp_path):
+    with pytest.raises(st.PictureError, match=r"a\.png: expected linear floating numbers, got "):
+        st.write_image(tmp_path / "a.png", np.ones((2, 2, 3), dtype))
+
+
+def test_black_pictures_in_few_bytes_are_read(tmp_path):
+    """Those have the most pixels per byte."""
+    black = np.zeros((2048, 2048, 1), np.uint8)
+    write_raw(tmp_path / "a.png", black)
+    write_raw(tmp_path / "a.jpg", black, jpeg__progressive=1, compression="jpeg:1")
+    write_raw(tmp_path / "a.tif", black, oiio__BitsPerSample=1, compression="ccittfax4")
+    for name in ("a.png", "a.jpg", "a.tif"):
+        assert st.read_image(tmp_path / name).shape == (2048, 2048, 3)
+
+
 def test_unknown_colour_spaces_are_refused(tmp_path):
     st.write_image(tmp_path / "a.png", noise())
     message = "colorspace must be one of auto, linear, srgb, got 'rgb'"

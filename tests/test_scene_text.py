@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as some
 from hypothesis.extra.numpy import arrays
+from scenes import assert_same
 
 import spheretrace_jax as st
 
@@ -25,18 +26,6 @@ def read(folder: Path, text: str | bytes, dtype=np.float64) -> st.Scene:
     file = folder / "scene.txt"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     return st.load_scene(file, dtype)
-
-
-def assert_same(a: st.Scene, b: st.Scene) -> None:
-    """Equal in every bit, -0 and subnormal numbers too, and in what is static."""
-    (a_arrays, a_static), (b_arrays, b_static) = (
-        eqx.partition(a, eqx.is_array),
-        eqx.partition(b, eqx.is_array),
-    )
-    assert jax.tree.structure(a_static) == jax.tree.structure(b_static)
-    for x, y in zip(jax.tree.leaves(a_arrays), jax.tree.leaves(b_arrays), strict=True):
-        assert (x.dtype, x.shape) == (y.dtype, y.shape)
-        assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
 
 
 # --- what may stand in a file ---------------------------------------------------------------------

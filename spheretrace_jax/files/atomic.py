@@ -1,10 +1,10 @@
 """Files are written whole or not at all."""
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 
 @contextmanager
@@ -15,23 +15,18 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """
     check_place(path)
     target = Path(os.path.realpath(path))  # a link stays a link
-    temporary = None
+    # named before it is made, so that no interrupt leaves it behind
+    temporary = target.parent / f".{target.stem[:32]}.{uuid4().hex}{target.suffix}"
     try:
-        handle, name = tempfile.mkstemp(target.suffix, f".{target.stem[:32]}.", target.parent)
-        temporary = Path(name)
-        os.close(handle)
+        temporary.touch(exist_ok=False)
         yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)  # mkstemp's 0600 would surprise whoever shares the folder
         temporary.replace(target)
     except OSError as error:
         if error.errno is None:
             raise
         raise OSError(error.errno, error.strerror, os.fspath(path)) from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def check_place(path: str | os.PathLike) -> None:

@@ -9,12 +9,14 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
+from unicodedata import category
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from ..errors import InputError, PictureError
+from ..errors import InputError, PictureError, printable
 from .atomic import check_place, replacing, reserve
 
 Colorspace = Literal["auto", "linear", "srgb"]
@@ -36,6 +38,10 @@ _SHORT_TEXT = 60_000  # bytes: JPEG ends the program on a text of 64 kB, TIFF cu
 #: Larger pictures are refused before any memory is taken: a header may promise anything.
 MOST_PIXELS = 1 << 28
 
+# Pixels per byte, more than black pictures have: one bit each, and deflate's 1032 to 1; JPEG's
+# blocks of 64 take a bit. Of a JPEG that is cut short libjpeg makes up what its header promises.
+_DENSE, _DENSEST = 10_000, {"jpeg": 1000}
+
 
 def _is_linear(path: Path, colorspace: Colorspace) -> bool:
     if colorspace not in get_args(Colorspace):
@@ -49,7 +55,9 @@ def read_image(
 ) -> Float[np.ndarray, "height width 3"]:
     """Reads a picture as linear RGB in float32, row 0 at the top.
 
-    A picture of one channel is grey. Alpha means over black: colours are multiplied by it.
+    OpenImageIO knows many formats, of which GIF is refused. A picture of one channel is grey. Alpha
+    means over black: colours are multiplied by it. Numbers that are nan or inf in a floating file
+    stay what they are.
 
     **Arguments:** `colorspace`: how the file's numbers are coded: `"linear"`, `"srgb"`, or
     `"auto"` for linear in EXR and HDR files and sRGB in all others.
@@ -60,34 +68,33 @@ def read_image(
 
     path = Path(path)
     linear = _is_linear(path, colorspace)
-    if path.is_dir():
+    _check_name(path)
+    if os.path.isdir(path):  # which, unlike Path's, knows no name that is too long
         raise PictureError(f"{path}: expected a picture, this is a folder")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise PictureError(f"{path}: there is no such picture")
+    try:
+        with open(path, "rb") as file:
+            start = file.read(4)
+    except OSError as error:
+        raise PictureError(f"{path}: cannot be read as a picture: {error.strerror}") from None
+    if start == b"GIF8":  # OpenImageIO takes what memory its header promises before we can look
+        raise PictureError(f"{path}: cannot be read as a picture: GIF files are not read")
     hint = oiio.ImageSpec()
     hint.attribute("oiio:UnassociatedAlpha", 1)  # colour is decoded first, alpha multiplied after
     with _silence():
         source = oiio.ImageInput.open(str(path), hint)
     if source is None:
-        raise PictureError(f"{path}: cannot be read as a picture: {_first_line(oiio.geterror())}")
+        raise PictureError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
     try:
         spec = source.spec()
-        if (
-            spec.width < 1
-            or spec.height < 1
-            or spec.width * spec.height > MOST_PIXELS
-            or spec.depth > 1
-        ):
-            size = f"{spec.width} x {spec.height} x {spec.depth}"
-            raise PictureError(
-                f"{path}: expected a picture of at most {MOST_PIXELS} pixels, got {size}"
-            )
+        _check_size(path, source)
         with _silence():
             pixels = source.read_image(oiio.FLOAT)
         if pixels is None or source.has_error:  # of a JPEG cut short it gives pixels and an error
-            raise PictureError(
-                f"{path}: cannot be read as a picture: {_first_line(source.geterror())}"
-            )
+            raise PictureError(f"{path}: cannot be read as a picture: {_reason(source)}")
+    except MemoryError:
+        raise PictureError(f"{path}: there is not enough memory for this picture") from None
     finally:
         source.close()
     pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, spec.nchannels)
@@ -100,6 +107,30 @@ def read_image(
     if not linear:
         color = _convert(color, _SRGB, _LINEAR)
     return color if alpha is None or premultiplied else color * alpha
+
+
+def _check_name(path: Path) -> None:
+    if any(category(c) == "Cs" for c in str(path)):  # which OpenImageIO cannot be told
+        raise PictureError(f"{printable(str(path))}: the name of a picture must be UTF-8")
+
+
+def _check_size(path: Path, source: Any) -> None:
+    """Refuses what a file's header promises and cannot be true, before any memory is taken."""
+    spec = source.spec()
+    pixels, channels = spec.width * spec.height, spec.nchannels
+    most = min(MOST_PIXELS, _DENSEST.get(source.format_name(), _DENSE) * os.path.getsize(path))
+    if (
+        min(spec.width, spec.height, channels) < 1
+        or pixels > most
+        or pixels * channels > 4 * MOST_PIXELS
+        or spec.depth > 1
+    ):
+        size = f"{spec.width} x {spec.height} x {spec.depth}"
+        of = f" of {channels} numbers" if channels > 4 else ""
+        reason = "" if most == MOST_PIXELS else ", as the file is short"
+        raise PictureError(
+            f"{path}: expected a picture of at most {most} pixels{reason}, got {size}{of}"
+        )
 
 
 def write_image(
@@ -122,20 +153,23 @@ def write_image(
     - `scene`: the text of a scene file to keep in the picture's metadata, beside the program's
       version and the colour space. PPM and HDR hold no text, TIFF and JPEG none above 60 kB.
 
-    **Raises:** `PictureError` for formats, bits and shapes that do not go; `OSError` if the file
-    cannot be written.
+    **Raises:** `PictureError` for formats, bits, shapes and dtypes that do not go; `OSError` if the
+    file cannot be written.
     """
     import OpenImageIO as oiio
 
     from .. import __version__
 
-    path, pixels = Path(path), np.asarray(image, np.float32)
+    path, pixels = Path(path), np.asarray(image)
     ending = path.suffix.lower()
     check_writable(path, bits)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise PictureError(
             f"{path}: expected a picture of shape (height, width, 3), got {pixels.shape}"
         )
+    if not jnp.issubdtype(pixels.dtype, jnp.floating):
+        raise PictureError(f"{path}: expected linear floating numbers, got {pixels.dtype}")
+    pixels = pixels.astype(np.float32)
     linear = _is_linear(path, colorspace)
     if not linear:
         pixels = _convert(pixels, _LINEAR, _SRGB)
@@ -153,9 +187,9 @@ def write_image(
         reserve(temporary, 2 * spec.image_bytes() + len(text.encode()) + _HEADERS)
         sink = oiio.ImageOutput.create(str(temporary))
         if sink is None or not sink.open(str(temporary), spec):
-            raise PictureError(f"{path}: cannot be written: {_first_line(oiio.geterror())}")
+            raise PictureError(f"{path}: cannot be written: {_reason(oiio)}")
         if not (sink.write_image(np.ascontiguousarray(pixels)) and sink.close()):
-            raise PictureError(f"{path}: cannot be written: {_first_line(sink.geterror())}")
+            raise PictureError(f"{path}: cannot be written: {_reason(sink)}")
 
 
 def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
@@ -171,6 +205,7 @@ def check_writable(path: str | os.PathLike, bits: int | None = None) -> None:
         raise PictureError(f"{path}: expected a picture file ({formats}), got {ending!r}")
     _kind(path, ending, bits)
     check_place(path)
+    _check_name(path.resolve())
 
 
 def to_srgb(image: ArrayLike) -> Float[np.ndarray, "height width 3"]:
@@ -204,7 +239,7 @@ def _convert(pixels: np.ndarray, source: str, target: str) -> np.ndarray:
     buffer.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
     converted = oiio.ImageBufAlgo.colorconvert(buffer, source, target, colorconfig=_CONFIG)
     if converted.has_error:
-        raise PictureError(f"cannot convert colours: {_first_line(converted.geterror())}")
+        raise PictureError(f"cannot convert colours: {_reason(converted)}")
     return np.asarray(converted.get_pixels(oiio.FLOAT), np.float32)
 
 
@@ -226,5 +261,11 @@ def _silence() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _first_line(message: str) -> str:
-    return message.strip().splitlines()[0] if message.strip() else "unknown format"
+def _reason(failed: Any) -> str:
+    """The first line of what OpenImageIO, or a part of it, says of a failure."""
+    try:
+        message = failed.geterror()
+    except UnicodeDecodeError as error:  # it quotes bytes of a broken file
+        message = error.object.decode(errors="replace")
+    lines = message.strip().splitlines() or ["unknown format"]
+    return printable(lines[0])

@@ -90,13 +90,14 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
     **Arguments:** `highlight`, `bounces`: as for `render`.
 
     **Raises:** `SceneError` for textures that are in no file, or in a file of a kind that POV-Ray
-    does not read, and for numbers that are not finite; `InputError` for an unknown highlight and
-    bounces out of range.
+    does not read, and for numbers that are not finite; `InputError` for an unknown highlight,
+    bounces out of range and arrays that are neither float32 nor float64.
     """
     if highlight not in HIGHLIGHTS:
         raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
     if not 0 <= bounces < 256:
         raise InputError(f"bounces must be in 0..255 for POV-Ray, got {bounces}")
+    scene.check_dtype()
     eye = _points(view_frame(scene.camera).eye)
     parts = [
         *(f"// not exact: {what}" for what in _inexact(scene, eye, bounces)),

@@ -35,8 +35,8 @@ from unicodedata import category
 import jax
 import numpy as np
 
-from ..errors import InputError, PictureError, SceneError, SceneWarning
-from ..scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture
+from ..errors import InputError, PictureError, SceneError, SceneWarning, printable
+from ..scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture, precision
 from .atomic import write_text
 from .tokens import Token, Tokens, decode
 
@@ -74,8 +74,10 @@ def save_scene(path: str | os.PathLike, scene: Scene) -> None:
     (Only the checker colour of a plane without squares, which nothing shows, is not kept.)
 
     **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan) and
-    for textures that are in no file; `OSError` if the file cannot be written.
+    for textures that are in no file; `InputError` for arrays that are neither float32 nor float64;
+    `OSError` if the file cannot be written.
     """
+    scene.check_dtype()
     text = scene_text(scene, Path(path).parent)
     try:
         _Reader(os.fspath(path), text, scene.dtype).read()
@@ -135,9 +137,7 @@ def _file(texture: Texture, folder: str | os.PathLike) -> str:
 
 def _floating(dtype: Any) -> np.dtype:
     default = jax.dtypes.canonicalize_dtype(float)
-    chosen = default if dtype is None else np.dtype(dtype)
-    if chosen not in (np.float32, np.float64):
-        raise InputError(f"a scene's dtype must be float32 or float64, got {chosen}")
+    chosen = precision(default if dtype is None else dtype)
     if chosen == np.float64 and default != np.float64:
         raise InputError(
             "a float64 scene needs 64-bit JAX: jax.config.update('jax_enable_x64', True)"
@@ -296,10 +296,13 @@ def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
         token, name = place
         file = os.path.abspath(folder / name)
         try:
-            return Texture(read_image(file), file)
+            image = read_image(file)
+            if not np.isfinite(image).all():
+                raise PictureError("it holds numbers that are nan or inf")
+            return Texture(image, file)
         except PictureError as error:
             reason = str(error).removeprefix(f"{file}: ")
-            parts.tokens.fail(token, f"expected a picture, got {name}: {reason}")
+            parts.tokens.fail(token, f"expected a picture, got {printable(name)}: {reason}")
 
     spheres, lights = table(parts.spheres, 13), table(parts.lights, 6)
     planes, back = table(parts.planes, 18), parts.back_plane

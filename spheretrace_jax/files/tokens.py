@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import SceneError, printable
 
 _WORD = re.compile(
     r'//[^\r\n]*|(?P<newline>\r\n|\r|\n)|(?P<word>"[^"\r\n]*"?|(?:[^\s"/]+|/(?!/))+)'
@@ -28,11 +28,9 @@ class Token:
     def __str__(self) -> str:
         if not self.text:
             return "the end of the file"
-        return (
-            self.text
-            if len(self.text) <= 32
-            else f"{self.text[:24]}... ({len(self.text)} characters)"
-        )
+        if len(self.text) <= 32:
+            return printable(self.text)
+        return f"{printable(self.text[:24])}... ({len(self.text)} characters)"
 
 
 class Tokens:

@@ -226,6 +226,7 @@ def make_problem(
             f"{len(images)} targets"
         )
     for one in scenes:
+        one.check_dtype()
         check_present(one, free)
     own_names = frozenset(own) | ({"exposure"} & set(free) if several else set())
     _check_own(scenes, free, own_names)

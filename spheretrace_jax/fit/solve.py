@@ -1,5 +1,6 @@
 """From a scene and a picture to the scene that looks like the picture."""
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -193,21 +194,27 @@ def fit(
     tolerance = 1e-10 if problem.dtype == jnp.float64 else 1e-6
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
     best = None
-    for begin in _starts(problem, start):
-        if solver is None:
-            bounds = _begin(begin)[1]
-            method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
-        else:
-            method = solver
-        run = Run(method, jacobian == "dense", rtol + atol, max_steps, callback)
-        found = _found(run, begin, gauge, noise)
-        if best is None or not found.cost >= best.cost:
-            best = found
-        # another start after the scene's own is for what it does not find, not for too few steps
-        if found.interrupted or (start == "scene" and found.steps >= max_steps):
-            break
-        if found.converged and explains(found.problem, found.values, found.cost):
-            break
+    try:
+        for begin in _starts(problem, start):
+            if solver is None:
+                bounds = _begin(begin)[1]
+                method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
+            else:
+                method = solver
+            run = Run(method, jacobian == "dense", rtol + atol, max_steps, callback)
+            found = _found(run, begin, gauge, noise)
+            if best is None or not found.cost >= best.cost:
+                best = found
+            # another start after the scene's own is for what it does not find, not for too few
+            # steps
+            if found.interrupted or (start == "scene" and found.steps >= max_steps):
+                break
+            if found.converged and explains(found.problem, found.values, found.cost):
+                break
+    except KeyboardInterrupt:  # while the next start is sought
+        if best is None:
+            raise
+        best = dataclasses.replace(best, interrupted=True)
     assert best is not None
     if throw and not best.interrupted and not best.converged:
         raise RuntimeError(f"the fit did not converge: {best.result_message}")
@@ -270,17 +277,24 @@ def _found(run: Run, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
     """What is found from a problem's start."""
     values, _ = _begin(problem)
     estimated = problem.targets[0].loss != "square" and noise is None
-    for _ in range(_MOST_ROUNDS if estimated else 1):
-        if estimated:
-            again = problem.with_noise_at(values)
-            if run.costs and np.allclose(again.noise, problem.noise, rtol=0.02):
+    steps = 0
+    try:
+        for _ in range(_MOST_ROUNDS if estimated else 1):
+            if estimated:
+                again = problem.with_noise_at(values)
+                if run.costs and np.allclose(again.noise, problem.noise, rtol=0.02):
+                    break
+                problem = again
+            values = run.solve(problem, values)
+            steps = len(run.costs)
+            if run.interrupted or not run.converged:
                 break
-            problem = again
-        values = run.solve(problem, values)
-        if run.interrupted or not run.converged:
-            break
-    if run.converged and not run.interrupted and not estimated:
-        values = _past_shadows(run, problem, values)
+        if run.converged and not run.interrupted and not estimated:
+            values = _past_shadows(run, problem, values)
+            steps = len(run.costs)
+    except KeyboardInterrupt:  # between two solutions: what the first one found is kept
+        run.interrupted = True
+        del run.costs[steps:]
     values, placed = _finish(problem, values, gauge)
     return Fit(
         scenes=[scene for scene, _ in placed],

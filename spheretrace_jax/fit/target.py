@@ -119,7 +119,7 @@ def make_target(
 
     A picture none of whose numbers exceeds 1 and some of which are 1 was clipped, as 8- and 16-bit
     files are: the numbers at 1 say "at least 1" and do not count. Pictures with brighter pixels
-    (EXR, HDR) are taken to be whole.
+    (EXR, HDR) are taken to be whole. Half precision is promoted.
 
     **Arguments:** as for `fit`.
 
@@ -127,7 +127,7 @@ def make_target(
     the picture counts, for integers, and if nothing counts; `InputError` for masks, weights and
     noise of other shapes or values out of range.
     """
-    pixels = np.asarray(image)
+    pixels = _wide(image)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise PictureError(f"the target must have shape (height, width, 3), got {pixels.shape}")
     if not np.issubdtype(pixels.dtype, np.floating):
@@ -170,9 +170,16 @@ def make_target(
     return Target(jnp.asarray(pixels, dtype), jnp.asarray(weight, dtype), jnp.ones((), dtype), loss)
 
 
+def _wide(value: ArrayLike) -> np.ndarray:
+    """In NumPy; half precision, which many EXR pictures have, becomes float32."""
+    array = np.asarray(value)
+    half = jnp.issubdtype(array.dtype, jnp.floating) and array.dtype.itemsize < 4
+    return array.astype(np.float32) if half else array
+
+
 def _like(value: ArrayLike, pixels: np.ndarray, name: str) -> np.ndarray:
     """A number for all, one per pixel or one per channel, as one per channel."""
-    array = np.asarray(value)
+    array = _wide(value)
     if array.dtype.kind not in "biuf":
         raise InputError(f"{name} must hold numbers, got {array.dtype}")
     if array.shape == pixels.shape[:2]:

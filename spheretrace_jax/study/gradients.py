@@ -118,6 +118,7 @@ def check_gradients(
 
     **Returns:** a table with one row per array, which also counts the pixels left out.
     """
+    scene.check_dtype()
     with jax.enable_x64(True):
         scene = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), scene)
         idle = _idle(scene, every)

@@ -1,5 +1,5 @@
 """The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
 
-from . import fits
+from . import files, fits
 
-PARTS = [fits]
+PARTS = [fits, files]
