@@ -7,7 +7,9 @@ def _tests():
     for part in PARTS:
         for case in cases(part):
             marks = [pytest.mark.slow] * case.slow
-            yield pytest.param(case, marks=marks, id=f"{part.__name__.split('.')[-1]}: {case.tried}")
+            yield pytest.param(
+                case, marks=marks, id=f"{part.__name__.split('.')[-1]}: {case.tried}"
+            )
 
 
 @pytest.mark.parametrize("case", _tests())

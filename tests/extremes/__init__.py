@@ -1,3 +1,5 @@
 """The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
 
-PARTS = []
+from extremes import derivatives, rays, shading, spawned, views
+
+PARTS = [rays, spawned, shading, views, derivatives]

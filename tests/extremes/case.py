@@ -11,7 +11,9 @@ class Case:
 
     tried: str  #: what is extreme about it
     promise: str  #: what must hold
-    check: Callable[[], str]  #: raises AssertionError where it does not; what was measured, in words
+    check: Callable[
+        [], str
+    ]  #: raises AssertionError where it does not; what was measured, in words
     source: str = ""  #: where the case is known from
     slow: bool = False  #: takes more than some seconds
 
