@@ -98,10 +98,10 @@ def alone(tried: str, spread: float | None, needs: st.Needs) -> Case:
         radius, eye, light = sizes(rng, 4, TRIALS), places(rng, 8, TRIALS), places(rng, 8, TRIALS)
         center = np.zeros_like(eye) if spread is None else places(rng, spread, TRIALS)
         world = center[:, None], radius[:, None]
-        hit, point, normal = arrive(*world, eye, boxed(rng, center, radius), needs)
+        hit, point, normal = jax.device_get(arrive(*world, eye, boxed(rng, center, radius), needs))
         outwards = directions(rng)
         outwards *= np.sign((outwards * normal).sum(1, keepdims=True))
-        again, _, lit = depart(*world, hit, point, outwards, light, needs)
+        again, _, lit = jax.device_get(depart(*world, hit, point, outwards, light, needs))
         outside = (hit.id == 0) & (lengths(eye - center) > radius)
         front = outside & (((light - point) * normal).sum(1) > 0)
         front &= lengths(light - center) > radius
@@ -130,15 +130,15 @@ def room() -> str:
     rng = np.random.default_rng(1)
     radius, center = sizes(rng, 4, TRIALS), np.zeros((TRIALS, 3), np.float32)
     world, aim = (center[:, None], radius[:, None]), directions(rng)
-    hit, point, normal = arrive(*world, center, aim * radius[:, None])
+    hit, point, normal = jax.device_get(arrive(*world, center, aim * radius[:, None]))
     across = np.cross(np.float64(normal), directions(rng))
     climb = 10 ** rng.uniform(-6, 0, (TRIALS, 1))
     toward = (across / lengths(across)[:, None] + climb * normal).astype(np.float32)
     light = 2 * boxed(rng, center, radius)
-    again, _, lit = depart(*world, hit, point, toward, light)
+    again, _, lit = jax.device_get(depart(*world, hit, point, toward, light))
     away = lengths(light) / radius
     wrong = (np.abs(away - 1) > 4 * EPS) & (lit != (away < 1))
-    leaks = np.asarray(again) != 0
+    leaks = again != 0
     assert (hit.id == 0).all() and hit.inside.all()
     assert not leaks.any() and not wrong.any(), (leaks.sum(), wrong.sum())
     return f"0 of {TRIALS:,} rays go through the wall; 0 lights are wrong"
@@ -158,10 +158,12 @@ def second(tried: str, spread: float, giant: float | None = None) -> Case:
             below = np.broadcast_to(np.float32([0, 0, -3 * giant]), (TRIALS, 1, 3))
             center = np.concatenate([center, below], axis=1)
             radius = np.concatenate([radius, np.full((TRIALS, 1), giant, np.float32)], axis=1)
-        hit, point, normal = arrive(center, radius, eye, boxed(rng, center[:, 0], radius[:, 0]))
+        hit, point, normal = jax.device_get(
+            arrive(center, radius, eye, boxed(rng, center[:, 0], radius[:, 0]))
+        )
         toward = boxed(rng, center[:, 1], radius[:, 1]) - point
         light = point + toward * rng.uniform(0.2, 5, (TRIALS, 1)).astype(np.float32)
-        again, direction, lit = depart(center, radius, hit, point, toward, light)
+        again, direction, lit = jax.device_get(depart(center, radius, hit, point, toward, light))
 
         apart = lengths(center[:, 1] - center[:, 0]) > 2 * radius[:, :2].astype(float).sum(1)
         front = ((toward * normal).sum(1) > 0) & (lengths(eye - center[:, 0]) > radius[:, 0])
@@ -170,7 +172,7 @@ def second(tried: str, spread: float, giant: float | None = None) -> Case:
         results = []
         for way, most, met in (
             (direction, np.inf, again == 1),
-            (light - np.float64(point), 1, ~np.asarray(lit)),
+            (light - np.float64(point), 1, ~lit),
         ):
             way = np.float64(way)
             t = np.clip((oc * way).sum(1) / (way * way).sum(1), 0, most)
