@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from ._types import Plane
 from .scene import Camera
-from .vec import Vec, unit
+from .vec import Vec, to_order_one, unit
 
 
 class Ray(eqx.Module):
@@ -57,12 +57,14 @@ def pixel_rays(camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int
     **Returns:** rays from the eye, with a direction for each position.
     """
     frame = view_frame(camera)
-    pitch = camera.window / size[1]
+    # only their ratio matters
+    scale = to_order_one(camera.window, camera.distance)
+    distance, pitch = camera.distance * scale, camera.window * scale / size[1]
     x = (columns - size[0] / 2) * pitch
     y = (size[1] / 2 - rows) * pitch
 
     def along(right: Plane, up: Plane, forward: Plane) -> Plane:
-        return (y * up + camera.distance * forward) + x * right
+        return (y * up + distance * forward) + x * right
 
     towards = Vec(
         along(frame.right.x, frame.up.x, frame.forward.x),

@@ -19,7 +19,7 @@ from .phases import materialise, over
 from .scene import Camera
 from .shading import ends_abruptly
 from .vec import Vec, cross, dot, norm, safe_sqrt, vec
-from .visibility import near_one, row
+from .visibility import row, shadow_scale
 from .world import Hit, Surface, World, surface_at
 
 # In pixels: half the diagonal, and a little, as shading near a rim is averaged too.
@@ -177,7 +177,7 @@ def _edge_of_light(
     the light's way.
     """
     needs = options.needs
-    scale = near_one(world, light)
+    scale = shadow_scale(world, light)
     light, point, width = light * scale, surface.point * scale, width * scale
     to_light = light - point
     square = dot(to_light, to_light)

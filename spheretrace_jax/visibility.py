@@ -5,8 +5,6 @@ Integers and booleans only: nothing here has a derivative, and everything runs u
 are convex) and skips it by its number.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
@@ -14,10 +12,10 @@ from jaxtyping import Array, Complex
 from ._types import Ids, Index, Mask, Plane, Scalar
 from .camera import Ray
 from .charts import Lamp
-from .intersect import ray_plane, ray_sphere
+from .intersect import perpendicular, ray_plane, ray_sphere
 from .needs import Needs
 from .phases import fetch, materialise, over, remember
-from .vec import Vec, cross, dot, parts
+from .vec import Vec, cross, dot, parts, to_order_one
 from .world import Ball, Flat, Hit, World
 
 Best = tuple[Plane, Ids]
@@ -111,7 +109,10 @@ def _seen(
     t = jnp.where(near > 0, near, far)
     if leaving is None or own is None:
         return t, None
-    return jnp.where(own & leaving.inside, far, t), own & ~leaving.inside
+    # from a point of the sphere itself they meet it at 0 and at twice the way to the middle of the
+    # chord; where rounding put the point outside, those along the wall would pass it by
+    along, _ = perpendicular(ray.origin, ray.direction, center)
+    return jnp.where(own & leaving.inside, 2 * along, t), own & ~leaving.inside
 
 
 def hit_of(world: World, ray: Ray, number: Ids, needs: Needs, leaving: Hit | None = None) -> Hit:
@@ -159,7 +160,7 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
     light's position, a `Vec` of scalars.
     """
     world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
-    scale = near_one(world, light)
+    scale = shadow_scale(world, light)
     flats = Flat(world.flats.point * scale, world.flats.normal)
     balls = Ball(world.balls.center * scale, world.balls.radius * scale)
     nearby, light_ = point, light
@@ -218,13 +219,12 @@ def unoccluded(world: World, point: Vec, hit: Hit, light: Vec, needs: Needs) -> 
     return ~blocked
 
 
-def near_one(world: World, light: Vec) -> Scalar:
-    """A power of two that scales the largest length to order one, which is exact.
+def shadow_scale(world: World, light: Vec) -> Scalar:
+    """A power of two that scales the largest length to a thousand, which is exact.
 
     The shadow test multiplies four lengths: in float32 it would overflow where a radius times the
-    light's distance exceeds 1.8e19, and shadows would be lost (planets, in metres).
+    light's distance exceeds 1.8e19, and shadows would be lost (planets, in metres). A thousand and
+    not one, as small spheres and near lights beside a planet are more than points so far away.
     """
-    sizes = [world.balls.radius, *parts(world.balls.center), *parts(light)]
-    largest = functools.reduce(jnp.maximum, (jnp.max(jnp.abs(x), initial=0) for x in sizes))
-    exponent = jnp.where(largest > 0, jnp.floor(jnp.log2(jnp.where(largest > 0, largest, 1))), 0)
-    return jnp.exp2(-exponent)
+    largest = world.balls.radius, *parts(world.balls.center), *parts(light)
+    return 1024 * to_order_one(*largest)

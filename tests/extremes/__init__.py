@@ -1,5 +1,5 @@
 """The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
 
-from . import files, fits
+from extremes import derivatives, files, fits, rays, shading, spawned, views
 
-PARTS = [fits, files]
+PARTS = [rays, spawned, shading, views, derivatives, fits, files]

@@ -1,0 +1,60 @@
+"""Derivatives at all these extremes.
+Of a weighted sum of each picture of the parts above, in reverse mode: by each array, along a random
+direction in which its numbers change by parts of themselves, against central differences of the
+lecture's formulas in numbers of 50 digits. An eps is of the sum of all |derivative x change|, and
+of the weighted sum itself.
+"""
+
+import jax
+import numpy as np
+
+import spheretrace_jax as st
+from extremes import shading, views
+from extremes.case import Case
+from extremes.draw import SIDE, WEIGHTS, Extreme, drawn
+from extremes.exact import exact, picture, slope, to_exact
+
+EVERY = shading.SCENES | views.SCENES
+
+
+def derivative_case(tried: str, extreme: Extreme) -> Case:
+    """All arrays of a scene: finite, and equal to the exact ones where there are any."""
+
+    def check() -> str:
+        scene, found = extreme.scene.astype(np.float32), []
+        for dtype in (np.float32, np.float64):
+            slopes, _ = drawn(scene.astype(dtype), extreme.bounces)
+            found.append(jax.tree.map(np.asarray, slopes))
+            assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes)), slopes
+        if not extreme.smooth:
+            return "all finite"
+        off = errors(scene, found, extreme.bounces)
+        worst = [max(eps.items(), key=lambda item: item[1]) for eps in off]
+        assert max(eps for _, eps in worst) <= extreme.slopes, worst
+        each = zip(worst, ("float32", "float64"), strict=True)
+        return ", ".join(f"{eps:.2g} eps in {dtype} ({name})" for (name, eps), dtype in each)
+
+    there = f"; right to {extreme.slopes:g} eps" if extreme.smooth else " (it has a jump or a kink)"
+    return Case(tried, "finite" + there, check, slow=extreme.bounces > 0)
+
+
+def errors(scene: st.Scene, found: list[st.Scene], bounces: int) -> list[dict[str, float]]:
+    """How far some derivatives are off by each array of a scene, in eps of their type."""
+    rng, weights, true = np.random.default_rng(1), to_exact(WEIGHTS), exact(scene)
+    value = lambda scene: (weights * picture(scene, (SIDE, SIDE), bounces)).sum()
+    total, off = float(value(true)), [{} for _ in found]
+    for k, (path, leaf) in enumerate(jax.tree_util.tree_flatten_with_path(scene)[0]):
+        if leaf.size == 0:
+            continue
+        leaf = np.asarray(leaf, np.float64)
+        move = np.where(leaf == 0, 1, np.abs(leaf)) * rng.uniform(0.5, 1, leaf.shape)
+        expected = slope(true, k, to_exact(move), value)
+        for slopes, errors in zip(found, off, strict=True):
+            slope_ = jax.tree.leaves(slopes)[k]
+            terms = slope_.astype(np.float64) * move
+            error = abs(float(terms.sum() - expected)) / (np.abs(terms).sum() + total or 1)
+            errors[jax.tree_util.keystr(path).lstrip(".")] = error / np.finfo(slope_.dtype).eps
+    return off
+
+
+DERIVATIVES = [derivative_case(tried, extreme) for tried, extreme in EVERY.items()]
