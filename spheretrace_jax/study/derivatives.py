@@ -92,19 +92,19 @@ def _works(
     works = {}
     for method, antialias, knobs in (
         ("single rays", 0, settings.rays[:3]),
-        ("covered edges", 1, settings.parts),
+        ("covered edges", 1, settings.covered),
     ):
         one, still = (s.with_antialias(antialias) for s in (scene, along))
         for k in knobs:
             settings.say(f"derivative: {method}, {k} x {k}")
             picture = partial(draw, options=options(one, samples=k, **drawn))
             push = Program(lambda s, ds, f=picture: jax.jvp(f, (s,), (ds,))[1], one, still)
-            works[f"{method}, forward mode", f"{k} x {k}", k] = _Work(push, push)
+            works[f"{method}, forward mode", f"{k} x {k}", float(k)] = _Work(push, push)
             if not settings.gradients:
                 continue
             pull = Program(lambda s, w, f=picture: jax.vjp(f, s)[1](w)[0], one, jnp.asarray(weight))
             read = lambda slope, still=still: np.asarray(_dot(slope, still))
-            works[f"{method}, reverse mode", f"{k} x {k}", k] = _Work(pull, pull, read)
+            works[f"{method}, reverse mode", f"{k} x {k}", float(k)] = _Work(pull, pull, read)
         k = knobs[-1] if antialias == 0 else knobs[0]
         settings.say(f"derivative: differences of {method}, {k} x {k}")
         draw_it = Program(partial(draw, options=options(one, samples=k, **drawn)), one)

@@ -79,7 +79,7 @@ def fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
             seconds, found = curve[k]
             error = _error(found, truth, known)
             points.append(
-                Point("fit", method, f"step {k}", k, "float64", seconds, compiling, error, 0)
+                Point("fit", method, f"step {k}", float(k), "float64", seconds, compiling, error, 0)
             )
     yield Diagram(
         "fit",

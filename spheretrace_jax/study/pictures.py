@@ -23,7 +23,7 @@ def pictures(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     truth = np.asarray(lattice_picture(program, settings.truth_rays)(exact))
     coarser = np.asarray(lattice_picture(program, settings.truth_rays // 2)(exact))
     programs = {}
-    methods = (("single rays", 0, settings.rays), ("covered edges", 1, settings.parts))
+    methods = (("single rays", 0, settings.rays), ("covered edges", 1, settings.covered))
     for method, antialias, knobs in methods:
         for dtype in ("float32", "float64"):
             for k in knobs:
@@ -34,7 +34,7 @@ def pictures(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     taken = clock(programs, settings.seconds)
     points = [
         Point(
-            "picture", f"{method}, {dtype}", f"{k} x {k}", k, dtype, taken[method, dtype, k],
+            "picture", f"{method}, {dtype}", f"{k} x {k}", float(k), dtype, taken[method, dtype, k],
             program.compile_seconds, relative(program(), truth), program.memory,
         )
         for (method, dtype, k), program in programs.items()

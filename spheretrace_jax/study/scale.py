@@ -39,7 +39,7 @@ def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
                 total = lambda s, p=program: jnp.sum(draw(s, p))
                 programs["gradient", n] = Program(jax.grad(total), one)
         taken = clock(programs, settings.seconds)
-        size = lambda n, name=name: {"pixels": n * n, "bounces": n + 1}.get(name, n)
+        size = lambda n, name=name: float({"pixels": n * n, "bounces": n + 1}.get(name, n))
         knob = lambda n, name=name: f"{n} x {n} pixels" if name == "pixels" else _some(n, name)
         points = [
             Point(

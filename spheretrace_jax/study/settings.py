@@ -14,7 +14,7 @@ class Settings:
     bounces: int = 1
     size: int = 128  #: of pictures whose errors are measured: their width and height
     rays: tuple[int, ...] = (1, 2, 4, 8, 16)  #: k of k x k single rays
-    parts: tuple[int, ...] = (1, 2, 4)  #: k of k x k covered parts
+    covered: tuple[int, ...] = (1, 2, 4)  #: k of k x k parts whose edges are covered
     steps: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0)  #: of differences, in pixels that edges move
     truth_rays: int = 10_000  #: of the reference, per pixel
     fit_size: int = 128  #: of pictures that are fitted
@@ -33,7 +33,7 @@ class Settings:
 def quick(**changes) -> Settings:
     """A study of a minute: small pictures, few points, and no bounces, which compile longest."""
     few = dict(
-        bounces=0, size=64, rays=(1, 2, 4, 8), parts=(1, 2), steps=(0.1, 1.0), truth_rays=2500,
+        bounces=0, size=64, rays=(1, 2, 4, 8), covered=(1, 2), steps=(0.1, 1.0), truth_rays=2500,
         fit_size=48, fit_seconds=1.0, slow_solvers=False, sides=(128, 256, 512),
         counts=(10, 100, 1000), lights=(1, 4), depths=(0, 1, 3), gradients=False, seconds=0.1,
     )  # fmt: skip

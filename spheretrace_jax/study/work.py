@@ -22,7 +22,7 @@ class Point:
     diagram: str
     method: str
     knob: str  #: what was swept, such as `samples 4`
-    size: float | int  #: its number
+    size: float  #: its number
     dtype: str
     seconds: float  #: of one run, without compilation
     compile_seconds: float  #: what came before it, nan where that is part of another point's
