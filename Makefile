@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow bench bench-edges bench-fit lint references clean
+.PHONY: demo test test-slow study extremes bench bench-edges bench-fit lint references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
@@ -15,6 +15,14 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
+
+# error against run time of the lecture's scene, in docs/study; about ten minutes
+study: $(READY)
+	$(BIN)/spheretrace study data/nine_spheres.txt --report docs/study
+
+# the catalogue of stiff and extreme cases, in docs/extremes.md
+extremes: $(READY)
+	$(BIN)/python tests/extremes/page.py
 
 bench: $(READY)
 	$(BIN)/python tests/bench/speed.py

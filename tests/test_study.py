@@ -1,6 +1,7 @@
 """Studies: references, times, figures and what is read off them."""
 
 import csv
+import importlib
 import itertools
 import math
 
@@ -8,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from bench.edges import off
+from commands import spheretrace, workplace
 from scenes import three_apart, three_spheres
 
 import spheretrace_jax as st
@@ -157,3 +159,43 @@ def test_sweeps_change_one_thing():
 def test_parts_that_there_are_not_are_refused(parts):
     with pytest.raises(st.InputError, match="must be among picture, derivative, fit, scale, got"):
         study(three_spheres(), parts=parts)
+
+
+def test_the_command_studies_a_scene_and_says_what_it_wrote(monkeypatch):
+    asked = {}
+
+    def made(scene, **settings):
+        asked.update(settings, spheres=len(scene.spheres), dtype=scene.dtype)
+        return Study((MADE, GROWTH), machine(), Settings())
+
+    monkeypatch.setattr(importlib.import_module("spheretrace_jax.study.study"), "study", made)
+    with workplace() as folder:
+        status, out, err = spheretrace(
+            "study", "scene.txt", "--report", "new/report", "--quick", "--parts", "picture, fit",
+            "--seed", 3,
+        )  # fmt: skip
+        assert (status, err) == (0, "")
+        written = [line.strip() for line in out.splitlines()[1:]]
+        assert "new/report/study.md" in written and all((folder / f).is_file() for f in written)
+    del asked["say"]
+    assert asked == dict(
+        parts=("picture", "fit"), quick=True, seed=3, highlight="phong", spheres=2,
+        dtype=np.float64,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["scene.txt", "--report", "scene.txt"], "expected a folder to write to, this is a file"),
+        (["scene.txt", "--report", "new", "--parts", "speed"], "must be among picture, derivative"),
+        (["scene.txt", "--report", "new", "--bounces", "-1"], "--bounces must be at least 0"),
+        (["none.txt", "--report", "new"], "none.txt: cannot read the scene: No such file"),
+    ],
+)
+def test_mistakes_of_the_command_are_one_line(words, said):
+    with workplace() as folder:
+        status, _, err = spheretrace("study", *words)
+        assert status == 2 and err.startswith("spheretrace: ") and err.count("\n") == 1
+        assert said in err
+        assert not (folder / "new").exists()

@@ -1,7 +1,8 @@
 """Fits: error against time, step by step, of every solver, from the same start."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -17,6 +18,7 @@ from ..fit.run import Progress
 from ..fit.solve import DEFAULT_FREE
 from ..render import render
 from ..scene import Scene
+from .mitsuba import RECIPES, adam_fit, fitted, matt, mitsuba
 from .settings import Settings
 from .work import Diagram, Point
 
@@ -25,6 +27,9 @@ _NOISE, _KNOWN = 1e-3, 0.05
 
 # More points than this do not show in a figure.
 _MOST_POINTS = 60
+
+# After so many steps all is compiled.
+_COMPILED = 3
 
 # What most runs reach before their solver is stopped is a matter of time, not of steps.
 _MOST_STEPS = 100_000
@@ -59,36 +64,76 @@ def solvers(slow: bool) -> dict[str, dict[str, Any]]:
 
 
 def fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
-    """The diagram of fits of colours, ka, kd, ks and lights to the scene's own picture."""
-    if not len(scene.spheres) or not len(scene.lights):
-        return
+    """The diagrams of fits to the scene's own picture; none without spheres or lights."""
+    if len(scene.spheres) and len(scene.lights):
+        yield _solver_fits(scene, settings)
+        yield from matt_fits(scene, settings)
+
+
+def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
+    """Fits of colours, ka, kd, ks and lights by each solver."""
     truth = scene.astype(jnp.float64).with_antialias(0)
     drawn = dict(highlight=settings.highlight, bounces=settings.bounces)
     target = np.asarray(render(truth, width=settings.fit_size, height=settings.fit_size, **drawn))
     settings.say("fit: what the picture determines")
     known = _known(truth, target, drawn)
-    start, points = displaced(truth), []
-    for method, chosen in solvers(settings.slow_solvers).items():
-        settings.say(f"fit: {method}")
-        began = time.perf_counter()
-        _curve(start, target, settings.fit_seconds, **drawn, **chosen)
-        first = time.perf_counter() - began
-        curve = _curve(start, target, settings.fit_seconds, **drawn, **chosen)
-        compiling = max(first - curve[-1][0], 0.0)
-        for k in _spread(len(curve)):
-            seconds, found = curve[k]
-            error = _error(found, truth, known)
-            points.append(
-                Point("fit", method, f"step {k}", float(k), "float64", seconds, compiling, error, 0)
-            )
-    yield Diagram(
+    start = displaced(truth)
+    ways = {
+        method: partial(_curve, start, target, **drawn, **chosen)
+        for method, chosen in solvers(settings.slow_solvers).items()
+    }
+    points = _points("fit", ways, lambda found: _error(found, truth, known), settings)
+    return Diagram(
         "fit",
         f"Fits from the same start, {settings.fit_size} x {settings.fit_size}, step by step",
         "largest error of what the picture determines",
         "the scene itself: ka color, kd color and ks, absolute, and lights by their distance from "
         "the origin, as far as a picture determines them",
         float("nan"),
-        tuple(points),
+        points,
+    )
+
+
+def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
+    """The diagram of fits of colours and a light beside Mitsuba with Adam, where that is installed.
+
+    All spheres are matt, and each program fits its own picture, which it can reach exactly.
+    """
+    try:
+        mitsuba()
+    except ImportError:
+        return
+    truth = matt(scene.astype(jnp.float64))
+    size, free = settings.fit_size, ("color", "light_position")
+    target = np.asarray(render(truth, width=size, height=size, bounces=0))
+    settings.say("fit: ours, matt spheres")
+    known = fit(truth, target, free=free, noise=_NOISE, max_steps=1, bounces=0)
+    seen = known.uncertainty.of(lambda s: s.spheres.kd[:, None] * s.spheres.color) < _KNOWN
+    places = lambda s: [PLACES[name](s) for name in free]
+    start = eqx.tree_at(places, truth, places(displaced(truth)))
+    ours = lambda most: [
+        (seconds, fitted(found))
+        for seconds, found in _curve(start, target, most, free=free, bounces=0)
+    ]
+    ways = {"ours": ours} | {
+        name: partial(adam_fit, start, truth, size, recipe) for name, recipe in RECIPES.items()
+    }
+    true = fitted(truth)
+    away = np.linalg.norm(true[0])
+
+    def error(values: np.ndarray) -> float:
+        off = values - true
+        return float(max(np.linalg.norm(off[0]) / away, np.abs(off[1:][seen]).max(initial=0)))
+
+    points = _points("fit_matt", ways, error, settings)
+    yield Diagram(
+        "fit_matt",
+        f"Fits of matt spheres and a light, {size} x {size}, step by step",
+        "largest error of what the picture determines",
+        "the scene itself: kd color, absolute, and the light by its distance from the origin; "
+        "Mitsuba computes in float32",
+        float("nan"),
+        points,
     )
 
 
@@ -100,6 +145,23 @@ def displaced(truth: Scene) -> Scene:
     return eqx.tree_at(places, truth, [*(0.9 * x for x in coefficients), lights @ turn * 1.2])
 
 
+def _points(
+    diagram: str, ways: dict[str, Callable], error: Callable[[Any], float], settings: Settings
+) -> tuple[Point, ...]:
+    """Each way's points. **Arguments:** `ways`: from the most seconds to `_curve`s."""
+    points = []
+    for method, way in ways.items():
+        settings.say(f"{method}, {diagram}")
+        first, curve = way(settings.fit_seconds), way(settings.fit_seconds)
+        k = min(_COMPILED, len(first) - 1, len(curve) - 1)
+        compiling = max(first[k][0] - curve[k][0], 0.0)
+        for k in _spread(len(curve)):
+            seconds, found = curve[k]
+            one = f"step {k}", float(k), "float64", seconds, compiling, error(found), 0
+            points.append(Point(diagram, method, *one))
+    return tuple(points)
+
+
 def _curve(first: Scene, target: np.ndarray, most: float, **chosen: Any) -> list:
     """Seconds and scenes, step by step from the first one on, until it is time to stop."""
     curve, began = [(0.0, first)], time.perf_counter()
@@ -109,8 +171,8 @@ def _curve(first: Scene, target: np.ndarray, most: float, **chosen: Any) -> list
         if curve[-1][0] > most:
             raise KeyboardInterrupt  # as fit ends with the best scene so far
 
-    found = fit(first, target, callback=note, max_steps=_MOST_STEPS, **chosen)
-    return [*curve, (time.perf_counter() - began, found.scene)]
+    fit(first, target, callback=note, max_steps=_MOST_STEPS, **chosen)
+    return curve
 
 
 def _known(truth: Scene, target: np.ndarray, drawn: dict) -> dict[str, np.ndarray]:

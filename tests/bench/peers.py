@@ -8,12 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import spheretrace_jax as st
-from spheretrace_jax.camera import view_frame
-
-LIGHT = "light.position"
+from spheretrace_jax.study.mitsuba import LIGHT, mitsuba as found_mitsuba
 
 
 def povray_seconds(scene: st.Scene, size: int, bounces: int) -> float:
@@ -29,60 +25,12 @@ def povray_seconds(scene: st.Scene, size: int, bounces: int) -> float:
 
 
 def mitsuba() -> tuple[Any, Any] | None:
-    """Mitsuba and Dr.Jit for CPUs, None where they or LLVM are missing."""
+    """Mitsuba and Dr.Jit, None where they are missing."""
     try:
-        import drjit
-        import mitsuba
-
-        mitsuba.set_variant("llvm_ad_rgb")
-        drjit.eval(drjit.llvm.Float(1) + 1)
-    except Exception as error:  # what is missing is said in many ways
-        print(f"Mitsuba is left out: {error}".splitlines()[0])
+        return found_mitsuba()
+    except ImportError as error:
+        print(f"Mitsuba is left out: {error}")
         return None
-    return mitsuba, drjit
-
-
-def mitsuba_scene(mi: Any, scene: st.Scene, size: int, balls: str = "sphere") -> Any:
-    """The same with diffuse spheres: kd*color is their reflectance.
-
-    As bright as ours in the world's middle: the light makes up for 1/r^2 and Lambert's 1/pi.
-
-    **Arguments:** `balls`: `"sphere"`: each is a shape of its own; `"ellipsoids"`: all are one
-    shape, of one colour.
-    """
-    frame, light = view_frame(scene.camera), np.asarray(scene.lights.position[0], float)
-    eye, up, forward = (np.array([v.x, v.y, v.z]) for v in (frame.eye, frame.up, frame.forward))
-    rgb = lambda color: {"type": "rgb", "value": list(map(float, color))}
-    intensity = rgb([np.pi * light @ light] * 3)
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
-    fov = float(np.degrees(2 * np.arctan(scene.camera.window / 2 / scene.camera.distance)))
-    view = mi.ScalarTransform4f().look_at(origin=eye, target=eye + forward, up=up)
-    world = {
-        "type": "scene",
-        "sensor": {"type": "perspective", "fov": fov, "to_world": view, "film": film},
-        "light": {"type": "point", "position": light.tolist(), "intensity": intensity},
-        # samples of surfaces never meet the light; `prb` takes twice the time, and the light stays
-        "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
-    }
-    s = scene.spheres
-    center, radius, color = (np.asarray(x) for x in (s.center, s.radius, s.kd[:, None] * s.color))
-    if balls == "ellipsoids":
-        world["balls"] = {
-            "type": "ellipsoids",
-            "centers": mi.TensorXf(center),
-            "scales": mi.TensorXf(np.repeat(radius[:, None], 3, axis=1)),
-            "quaternions": mi.TensorXf(np.tile([0.0, 0, 0, 1], (len(radius), 1))),
-            "extent": 1.0,
-        }
-        return mi.load_dict(world)
-    for i in range(len(radius)):
-        world[f"ball{i}"] = {
-            "type": "sphere",
-            "center": center[i].tolist(),
-            "radius": float(radius[i]),
-            "bsdf": {"type": "diffuse", "reflectance": rgb(color[i])},
-        }
-    return mi.load_dict(world)
 
 
 def mitsuba_picture(mi: Any, dr: Any, world: Any) -> Callable[[], None]:

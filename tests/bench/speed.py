@@ -17,12 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from fit import nine_spheres
-from peers import mitsuba, mitsuba_gradient, mitsuba_picture, mitsuba_scene, povray_seconds
+from peers import mitsuba, mitsuba_gradient, mitsuba_picture, povray_seconds
 from rich.console import Console
 from rich.table import Table
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.problem import make_problem, normal_at
+from spheretrace_jax.study.mitsuba import mitsuba_scene
 
 SIZE, MANY_SIZE, RUNS, SECONDS = 1024, 512, 9, 6.0
 
