@@ -1,5 +1,5 @@
 """The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
 
-from extremes import derivatives, files, fits, rays, shading, spawned, views
+from extremes import covered, derivatives, files, fits, rays, shading, spawned, views
 
-PARTS = [rays, spawned, shading, views, derivatives, fits, files]
+PARTS = [rays, spawned, shading, covered, views, derivatives, fits, files]

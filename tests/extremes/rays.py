@@ -3,16 +3,20 @@ Roots along rays of float32 against those of the same rays in numbers of 50 digi
 the largest length that float32 had to tell apart: the distance to the centre, or the radius.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+import spheretrace_jax as st
 from extremes.case import Case, case
-from extremes.exact import EXACT, passes_by, sphere_roots, to_exact
+from extremes.exact import EXACT, passes_by, ray, sphere_roots, to_exact
+from spheretrace_jax.camera import pixel_rays
 from spheretrace_jax.intersect import ray_sphere
-from spheretrace_jax.vec import vec
+from spheretrace_jax.vec import parts, vec
 
 GEMS = "Ray Tracing Gems (2019), ch. 7"
 RAYS = 200
+EPS = np.finfo(np.float32).eps
 
 
 def aimed(rng, center, radius, off, eye):
@@ -133,3 +137,24 @@ def near_the_surface() -> str:
         shown += inside.sum()
     assert worst <= 4, worst
     return f"{worst:.2g} ulp at most; {shown} eyes were so far inside"
+
+
+@case(
+    "windows of 3e-30 to 3e30 at distances of 9e-30 to 9e30, whose squares float32 cannot hold",
+    "directions of rays to 2 eps, of length 1",
+)
+def pixels() -> str:
+    places, size, worst = jnp.arange(5, dtype=jnp.float32) + 0.5, (5, 5), 0.0
+    look = jax.jit(lambda camera: pixel_rays(camera, places[None], places[:, None], size).direction)
+    for exponent in range(-30, 31, 3):
+        lengths = 9 * 10.0**exponent, 3 * 10.0**exponent
+        camera = st.Camera(*map(jnp.float32, (0.3, 0.4, 500, *lengths)))
+        found = np.stack(parts(look(camera)), axis=-1)
+        exact_camera = jax.tree.map(lambda x: to_exact(np.asarray(x)), camera)
+        for row in range(5):
+            for column in range(5):
+                _, direction = ray(exact_camera, column, row, size)
+                off = np.abs(found[row, column] - direction.astype(float)).max()
+                worst = max(worst, off / EPS)
+    assert worst <= 2, worst
+    return f"{worst:.2g} eps at most"

@@ -1,0 +1,93 @@
+"""Covered edges at their limits (antialias 1).
+Spheres smaller than a pixel are discs of known area; an eps here is one of the sphere's colour
+filling a whole pixel.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import spheretrace_jax as st
+from extremes import shading, views
+from extremes.case import case
+from extremes.draw import NEEDS, PIXELS, WEIGHTS
+
+LEAN = dataclasses.replace(
+    NEEDS, shadows=False, highlights=False, inside=False, reflection=False, crossings=False
+)
+
+
+SIDE, EYE = 2.0, 600.0  #: of a pixel on the view plane, and how far away that is
+
+
+def disc(radius: float, x: float) -> st.Scene:
+    """A white sphere in ambient light: its radius, and its way from the middle, in pixels."""
+    ball = st.Spheres([[0.0, x * SIDE, 0]], [radius * SIDE], (1.0, 1, 1), ka=1.0, kd=0.0)
+    camera = st.Camera(0.0, 0.0, EYE, EYE, SIDE * PIXELS["height"])
+    return st.Scene(ball, st.Lights([[0.0, 0, 1e4]]), camera, antialias=1)
+
+
+def area(radius: float, x: float) -> tuple[float, float]:
+    """In pixels, of the ellipse that it is seen as, and of R times its derivative by R.
+
+    A cone of half angle a, whose axis is turned by b, cuts a plane at distance d in an ellipse of
+    half axes d sin a cos a / (cos^2 b - sin^2 a) and d sin a / sqrt(cos^2 b - sin^2 a).
+    """
+    away = np.hypot(EYE, x * SIDE)
+    sine2 = (radius * SIDE / away) ** 2
+    rest = (EYE / away) ** 2 - sine2
+    pixels = np.pi * (EYE / SIDE) ** 2 * sine2 * np.sqrt(1 - sine2) / rest**1.5
+    return pixels, pixels * (2 - sine2 / (1 - sine2) + 3 * sine2 / rest)
+
+
+@case(
+    "spheres of 1e-4 to 1.2 pixels, in the middle of a pixel, off it and on the line between two",
+    "the sum of the picture, and R times its derivative by R, are those of the disc to 100 eps",
+    slow=True,
+)
+def discs() -> str:
+    @jax.jit
+    def sums(scene: st.Scene) -> tuple[jax.Array, st.Scene]:
+        draw = lambda scene: st.render(scene, needs=LEAN, bounces=0, **PIXELS)[..., 0].sum()
+        return jax.value_and_grad(draw)(scene)
+
+    off = {}
+    for dtype in (np.float32, np.float64):
+        worst = np.zeros(2)
+        for radius in (1e-4, 1e-3, 0.01, 0.1, 0.4, 0.7, 1.2):
+            for x in (0.0, 0.2, 0.5):
+                scene = disc(radius, x).astype(dtype)
+                value, slopes = sums(scene)
+                assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+                grows = slopes.spheres.radius[0] * scene.spheres.radius[0]
+                errors = np.abs(np.float64([value, grows]) - area(radius, x))
+                worst = np.maximum(worst, errors / np.finfo(dtype).eps)
+        off[dtype.__name__] = worst
+    assert max(map(max, off.values())) <= 100, off
+    return "; ".join(f"{a:.2g} and {b:.2g} eps in {name}" for name, (a, b) in off.items())
+
+
+@case(
+    "the scenes of the parts on shading and views (but the hall of mirrors), edges covered",
+    "pictures and the derivatives by all arrays are finite, in float32",
+    slow=True,
+)
+def finite() -> str:
+    needs = dataclasses.replace(NEEDS, reflection=False)
+
+    @jax.jit
+    def drawn(scene: st.Scene, weights: jax.Array) -> tuple[st.Scene, jax.Array]:
+        def weighted(scene: st.Scene) -> tuple[jax.Array, jax.Array]:
+            picture = st.render(scene, needs=needs, bounces=0, **PIXELS)
+            return jnp.sum(weights * picture), picture
+
+        return jax.grad(weighted, has_aux=True)(scene)
+
+    scenes = {name: x for name, x in (shading.SCENES | views.SCENES).items() if not x.bounces}
+    for name, extreme in scenes.items():
+        scene = extreme.scene.astype(np.float32).with_antialias(1)
+        found = drawn(scene, jnp.asarray(WEIGHTS, np.float32))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found)), name
+    return f"{len(scenes)} scenes"
