@@ -36,7 +36,9 @@ class GradientRow:
     """How the derivatives by one array of the scene agree, along one random direction."""
 
     parameter: str
-    forward: float  #: jvp against central differences: largest error over the largest derivative
+    #: jvp against central differences: largest error over the largest derivative, if differences
+    #: can tell that from 0
+    forward: float
     reverse: float  #: vjp against jvp, relative
     largest: float  #: the largest derivative in the picture
     left_out: int  #: pixels that do not count: an edge or a kink lies within the step
@@ -171,20 +173,19 @@ def present(scene: Scene) -> list[str]:
 def _idle(scene: Scene, every: bool) -> dict[str, str]:
     """The arrays of a scene that have no row, and why."""
     idle = {}
-    for path, leaf in jax.tree_util.tree_flatten_with_path(scene)[0]:
-        name = jax.tree_util.keystr(path).lstrip(".")
-        if leaf.size == 0:
-            idle[name] = f"the scene has no {name.partition('.')[0]}"
-    if every:
-        return idle
-    for name in ("ks", "kgr", "kt"):
+    for name in () if every else ("ks", "kgr", "kt"):
         if name not in present(scene):
             names = (name, "exponent") if name == "ks" else (name,)
-            gone = {f"{part}.{n}" for part in ("spheres", "planes") for n in names}
-            idle = dict.fromkeys(sorted(gone - {"planes.kt"}), f"every {name} is 0") | idle
-    if scene.sky is None and not np.asarray(scene.background).any():
+            idle |= {
+                f"{part}.{n}": f"every {name} is 0" for part in ("spheres", "planes") for n in names
+            }
+    if not (every or scene.sky is not None or np.asarray(scene.background).any()):
         idle["background"] = "the background is black"
-    return idle
+    leaves = jax.tree_util.tree_flatten_with_path(scene)[0]
+    sizes = {jax.tree_util.keystr(path).lstrip("."): leaf.size for path, leaf in leaves}
+    part = lambda name: name.partition(".")[0]
+    idle |= {n: f"the scene has no {part(n)}" for n, size in sizes.items() if not size}
+    return {name: why for name, why in idle.items() if name in sizes}
 
 
 def _row(
@@ -210,7 +211,7 @@ def _row(
     scale = float(np.sum(np.abs(weights * derivative)))
     return GradientRow(
         parameter=name,
-        forward=error / largest if largest > 0 else error,
+        forward=error / largest if largest > rounding else error,
         reverse=abs(pushed - pulled) / scale if scale > 0 else abs(pulled),
         largest=largest,
         left_out=int(np.count_nonzero(~smooth)),
