@@ -35,6 +35,8 @@ def main() -> None:
         print("spheretrace: interrupted", file=sys.stderr)
         status = 130
     _forget_unprinted()
+    if status == 130:  # a compiler that was interrupted may crash as Python takes it down
+        os._exit(status)
     sys.exit(status)
 
 

@@ -66,6 +66,7 @@ def spheretrace(*words: object) -> tuple[int, str, str]:
         patch.object(sys, "argv", ["spheretrace", *map(str, words)]),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
+        patch.object(os, "_exit", sys.exit),
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("always")
