@@ -3,13 +3,16 @@ from extremes import PARTS
 from extremes.case import cases
 
 
-def _tests():
-    for part in PARTS:
-        for case in cases(part):
-            marks = [pytest.mark.slow] * case.slow
-            yield pytest.param(
-                case, marks=marks, id=f"{part.__name__.split('.')[-1]}: {case.tried}"
-            )
+def _tests() -> list:
+    return [
+        pytest.param(
+            case,
+            marks=[pytest.mark.slow] * case.slow,
+            id=f"{part.__name__.split('.')[-1]}: {case.tried}",
+        )
+        for part in PARTS
+        for case in cases(part)
+    ]
 
 
 @pytest.mark.parametrize("case", _tests())

@@ -49,11 +49,11 @@ def errors(scene: st.Scene, found: list[st.Scene], bounces: int) -> list[dict[st
         leaf = np.asarray(leaf, np.float64)
         move = np.where(leaf == 0, 1, np.abs(leaf)) * rng.uniform(0.5, 1, leaf.shape)
         expected = slope(true, k, to_exact(move), value)
-        for slopes, errors in zip(found, off, strict=True):
-            slope_ = jax.tree.leaves(slopes)[k]
-            terms = slope_.astype(np.float64) * move
+        for slopes, of_array in zip(found, off, strict=True):
+            eps = np.finfo(slopes.spheres.radius.dtype).eps
+            terms = np.float64(jax.tree.leaves(slopes)[k]) * move
             error = abs(float(terms.sum() - expected)) / (np.abs(terms).sum() + total or 1)
-            errors[jax.tree_util.keystr(path).lstrip(".")] = error / np.finfo(slope_.dtype).eps
+            of_array[jax.tree_util.keystr(path).lstrip(".")] = error / eps
     return off
 
 

@@ -1,7 +1,7 @@
 """Rays that leave surfaces.
-After pbrt's test of rounding errors: spheres, eyes and lights of very different sizes, 2^21 trials
-each in float32. Rays that leave a sphere skip it by its number, so that there is no epsilon, and no
-scale at which one would be too small or too large.
+After pbrt's test of rounding errors: spheres, eyes and lights of very different sizes, 2^21 or
+2^19 trials each in float32. Rays that leave a sphere skip it by its number, so that there is no
+epsilon, and no scale at which one would be too small or too large.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from spheretrace_jax.visibility import nearest, unoccluded
 from spheretrace_jax.world import Hit, World, build_world, surface_at
 
 PBRT = "Pharr, Jakob, Humphreys, Physically Based Rendering, 4th ed., 6.8, and its tests"
-TRIALS = 1 << 21
+TRIALS, FEWER = 1 << 21, 1 << 19
 EPS = np.finfo(np.float32).eps
 NEEDS = dataclasses.replace(st.Needs(), planes=False)
 OUTSIDE = dataclasses.replace(NEEDS, inside=False)
@@ -35,9 +35,9 @@ def places(rng, exponent: float, *shape: int) -> np.ndarray:
     return sizes(rng, exponent, *shape, 3) * rng.choice(np.float32([-1, 1]), (*shape, 3))
 
 
-def directions(rng) -> np.ndarray:
+def directions(rng, count: int) -> np.ndarray:
     """In float32, of any length."""
-    return rng.standard_normal((TRIALS, 3)).astype(np.float32)
+    return rng.standard_normal((count, 3)).astype(np.float32)
 
 
 def boxed(rng, center: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -99,7 +99,7 @@ def alone(tried: str, spread: float | None, needs: st.Needs) -> Case:
         center = np.zeros_like(eye) if spread is None else places(rng, spread, TRIALS)
         world = center[:, None], radius[:, None]
         hit, point, normal = jax.device_get(arrive(*world, eye, boxed(rng, center, radius), needs))
-        outwards = directions(rng)
+        outwards = directions(rng, TRIALS)
         outwards *= np.sign((outwards * normal).sum(1, keepdims=True))
         again, _, lit = jax.device_get(depart(*world, hit, point, outwards, light, needs))
         outside = (hit.id == 0) & (lengths(eye - center) > radius)
@@ -128,11 +128,11 @@ ALONE = [
 )
 def room() -> str:
     rng = np.random.default_rng(1)
-    radius, center = sizes(rng, 4, TRIALS), np.zeros((TRIALS, 3), np.float32)
-    world, aim = (center[:, None], radius[:, None]), directions(rng)
+    radius, center = sizes(rng, 4, FEWER), np.zeros((FEWER, 3), np.float32)
+    world, aim = (center[:, None], radius[:, None]), directions(rng, FEWER)
     hit, point, normal = jax.device_get(arrive(*world, center, aim * radius[:, None]))
-    across = np.cross(np.float64(normal), directions(rng))
-    climb = 10 ** rng.uniform(-6, 0, (TRIALS, 1))
+    across = np.cross(np.float64(normal), directions(rng, FEWER))
+    climb = 10 ** rng.uniform(-6, 0, (FEWER, 1))
     toward = (across / lengths(across)[:, None] + climb * normal).astype(np.float32)
     light = 2 * boxed(rng, center, radius)
     again, _, lit = jax.device_get(depart(*world, hit, point, toward, light))
@@ -141,7 +141,7 @@ def room() -> str:
     leaks = again != 0
     assert (hit.id == 0).all() and hit.inside.all()
     assert not leaks.any() and not wrong.any(), (leaks.sum(), wrong.sum())
-    return f"0 of {TRIALS:,} rays go through the wall; 0 lights are wrong"
+    return f"0 of {FEWER:,} rays go through the wall; 0 lights are wrong"
 
 
 def second(tried: str, spread: float, giant: float | None = None) -> Case:
@@ -152,17 +152,17 @@ def second(tried: str, spread: float, giant: float | None = None) -> Case:
 
     def check() -> str:
         rng = np.random.default_rng(2)
-        radius, center = sizes(rng, spread, TRIALS, 2), places(rng, spread, TRIALS, 2)
-        eye = center[:, 0] + directions(rng) * 10 * radius[:, :1]
+        radius, center = sizes(rng, spread, FEWER, 2), places(rng, spread, FEWER, 2)
+        eye = center[:, 0] + directions(rng, FEWER) * 10 * radius[:, :1]
         if giant is not None:
-            below = np.broadcast_to(np.float32([0, 0, -3 * giant]), (TRIALS, 1, 3))
+            below = np.broadcast_to(np.float32([0, 0, -3 * giant]), (FEWER, 1, 3))
             center = np.concatenate([center, below], axis=1)
-            radius = np.concatenate([radius, np.full((TRIALS, 1), giant, np.float32)], axis=1)
+            radius = np.concatenate([radius, np.full((FEWER, 1), giant, np.float32)], axis=1)
         hit, point, normal = jax.device_get(
             arrive(center, radius, eye, boxed(rng, center[:, 0], radius[:, 0]))
         )
         toward = boxed(rng, center[:, 1], radius[:, 1]) - point
-        light = point + toward * rng.uniform(0.2, 5, (TRIALS, 1)).astype(np.float32)
+        light = point + toward * rng.uniform(0.2, 5, (FEWER, 1)).astype(np.float32)
         again, direction, lit = jax.device_get(depart(center, radius, hit, point, toward, light))
 
         apart = lengths(center[:, 1] - center[:, 0]) > 2 * radius[:, :2].astype(float).sum(1)
@@ -195,7 +195,6 @@ def second(tried: str, spread: float, giant: float | None = None) -> Case:
 
 _TWO = "a second sphere, well away; radii and centres 10^U"
 SECOND = [
-    second(_TWO + "[-2,2]", 2),
     second(_TWO + "[-4,4]", 4),
     second(_TWO + "[-2,2], beside a planet of 1e8", 2, 1e8),
 ]
