@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import SCENES
 
 import spheretrace_jax as st
 
@@ -104,3 +105,12 @@ def test_a_shadow_s_edge_through_a_pixel_is_a_tie():
         assert (row.column, row.row, row.cause) == (COLUMN, ROW, "silhouette tie")
         assert row.object == "the shadow of sphere 2"
     assert st.check_stability(shaded(0.01), **SIZE).ok
+
+
+def test_mirrors_multiply_the_rounding_of_rays():
+    table = st.check_stability(SCENES["inside"], width=SIDE, height=SIDE, bounces=3, limit=1e-6)
+    assert next(iter(table.counts)) == "mirrors"
+    rows = [row for row in table.rows if row.cause == "mirrors"]
+    assert all(row.bounce >= 1 and row.factor > 30 for row in rows)
+    assert max(row.factor for row in rows if row.bounce == 3) > 300
+    assert not table.counts.keys() & {"cancellation", "overflow", "highlight exponent"}

@@ -6,7 +6,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from ..options import Options
 from ..render import sample_places
@@ -45,6 +45,9 @@ _EPS = float(np.finfo(np.float32).eps)
 # What multiplies rounding by no more than this does not explain an error.
 _ORDINARY = 30
 
+# A colour takes about so many roundings.
+_ROUNDINGS = 100
+
 # Edges that are known to no better than this part of the radius are no ties.
 _LOST = 1e-4
 
@@ -64,8 +67,13 @@ def explain(
     options: Options,
     pixels: np.ndarray,
     error: Float[np.ndarray, " pixels"],
+    brightest: float,
 ) -> list[Why]:
-    """Why some pixels differ. **Arguments:** `both`: the scene in float32 and in float64."""
+    """Why some pixels differ.
+
+    **Arguments:** `both`: the scene in float32 and in float64. `error`: how much they differ.
+    `brightest`: the picture's largest number.
+    """
     # where objects both reflect and transmit, the paths that always do the one or the other
     choices = (0, 1) if options.bounces and options.needs.branching else (0,)
     places = np.stack(jax.tree.map(np.asarray, sample_places(both[1], options)), axis=-1)
@@ -74,16 +82,23 @@ def explain(
     which = apart.argmax(axis=0)
     at = lambda stop, k: jax.tree.map(lambda x: x[:, k], stop)
     scene = _Lengths(both[1])
-    return [
-        _why(scene, *(at(stop, k) for stop in pairs[i]), float(e) * options.samples**2)
-        for k, (i, e) in enumerate(zip(which, error, strict=True))
-    ]
+    found = []
+    for k, (i, e) in enumerate(zip(which, error, strict=True)):
+        single, double = pairs[i]
+        found.append(_why(scene, at(single, k), at(double, k), float(e), brightest))
+    return found
 
 
-def _trails(both: tuple[Scene, Scene], options: Options, pixels, place, choice) -> list[Stop]:
-    ids = jnp.asarray(pixels, jnp.int32)
-    found = [trail(s, options, ids, *jnp.asarray(place, s.dtype), choice) for s in both]
-    return [jax.tree.map(_double, stop) for stop in found]
+def _trails(
+    both: tuple[Scene, Scene], options: Options, pixels: np.ndarray, place: np.ndarray, choice: int
+) -> tuple[Stop, Stop]:
+    def follow(scene: Scene) -> Stop:
+        left, top = jnp.asarray(place, scene.dtype)
+        stop = trail(scene, options, jnp.asarray(pixels, jnp.int32), left, top, choice)
+        return jax.tree.map(_double, stop)
+
+    single, double = both
+    return follow(single), follow(double)
 
 
 def _double(x: jax.Array) -> np.ndarray:
@@ -113,9 +128,9 @@ class _Lengths:
             return f"sphere {i + 1}"
         return f"plane {i - n + 1}" if i < n + planes else "the back plane"
 
-    def lost(self, i: int, origin: np.ndarray) -> float:
+    def lost(self, i: int, origin: ArrayLike) -> float:
         """By what rounding an object's or a ray's place grows, in units of the object itself."""
-        n = len(self.radius)
+        n, origin = len(self.radius), np.asarray(origin)
         if not 0 <= i < n + len(self.point):
             return 1.0
         if i < n:
@@ -126,37 +141,40 @@ class _Lengths:
         lengths = [np.linalg.norm(x) for x in (place, origin, place - origin)]
         return float(max(lengths) / size) if size > 0 else 1.0
 
-    def beyond(self, i: int, origin: np.ndarray) -> bool:
+    def beyond(self, i: int, origin: ArrayLike) -> bool:
         """Whether the squares of the lengths of an intersection do not fit into float32."""
         if not 0 <= i < len(self.radius):
             return False
         range_ = np.finfo(np.float32)
-        lengths = [self.radius[i], np.linalg.norm(self.center[i] - origin)]
+        lengths = [self.radius[i], np.linalg.norm(self.center[i] - np.asarray(origin))]
         return any(not range_.tiny < x * x < range_.max for x in lengths if x)
 
-    def nearest_edge(self, origin: np.ndarray, direction: np.ndarray, reach: float = np.inf) -> int:
+    def nearest_edge(self, origin: ArrayLike, direction: ArrayLike, reach: float = np.inf) -> int:
         """The sphere whose silhouette, or shadow's edge, a ray passes most closely."""
         if not len(self.radius):
             return -1
-        oc = self.center - origin
+        oc, direction = self.center - np.asarray(origin), np.asarray(direction)
         along = oc @ direction
         off = np.linalg.norm(oc - along[:, None] * direction, axis=1)
         ahead = (along > 0) & (along < reach)
         return int(np.argmin(np.where(ahead, np.abs(off - self.radius) / self.radius, np.inf)))
 
 
-def _why(scene: _Lengths, single: Stop, double: Stop, error: float) -> Why:
+def _why(scene: _Lengths, single: Stop, double: Stop, error: float, brightest: float) -> Why:
     """**Arguments:** `single`, `double`: the stops of one ray in both precisions."""
     if not error < np.inf and not np.isfinite(_apart(single, double)):
         return Why("overflow", np.inf, scene.name(int(double.id[0])), 0)
-    if _apart(single, double) < error / 2:
-        return _of_edge(scene, double)
     for b in range(len(double.id)):
         if single.alive[b] != double.alive[b]:
             break
         if double.alive[b] and (why := _parted(scene, single, double, b)):
             return why
-    return _grown(scene, single, double)
+    why = _grown(scene, single, double)
+    # no pixel is off by more than the worst of its rays
+    elsewhere = _apart(single, double) < error / 2
+    if elsewhere and error > _ROUNDINGS * why.factor * _EPS * brightest:
+        return _of_edge(scene, double)
+    return why
 
 
 def _of_edge(scene: _Lengths, double: Stop) -> Why:
@@ -178,10 +196,10 @@ def _parted(scene: _Lengths, single: Stop, double: Stop, b: int) -> Why | None:
     origin, who = double.origin[b], max(ids)
     if ids[0] != ids[1] or single.inside[b] != double.inside[b]:
         lost, who = max((scene.lost(i, origin), i) for i in ids)
-    elif (single.lit[b] != double.lit[b]).any():
-        light = int(np.argmax(single.lit[b] != double.lit[b]))
-        return _shadow(scene, double, b, light)
-    elif (single.turned[b] != double.turned[b]).any():
+    elif (reached := (single.lit & single.turned)[b] != (double.lit & double.turned)[b]).any():
+        light = int(np.argmax(reached))
+        if single.turned[b, light] == double.turned[b, light]:
+            return _shadow(scene, double, b, light)
         return Why("grazing", np.inf, scene.name(who), b)
     else:
         return None
@@ -197,9 +215,9 @@ def _parted(scene: _Lengths, single: Stop, double: Stop, b: int) -> Why | None:
 
 def _shadow(scene: _Lengths, double: Stop, b: int, light: int) -> Why:
     """Why a light reaches a point in one precision only."""
-    point, own = double.point[b], int(double.id[b])
+    point, own = np.asarray(double.point[b]), int(double.id[b])
     to_light = scene.lights[light] - point
-    reach = np.linalg.norm(to_light)
+    reach = float(np.linalg.norm(to_light))
     blocker = scene.nearest_edge(point, to_light / reach, reach)
     lost, who = max((scene.lost(i, point), i) for i in (own, blocker))
     if lost * _EPS > _LOST:

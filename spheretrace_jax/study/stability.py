@@ -61,7 +61,7 @@ class StabilityTable:
     @property
     def counts(self) -> dict[Cause, int]:
         """How many of the rows each cause has, most first."""
-        return dict(collections.Counter(row.cause for row in self.rows).most_common())
+        return dict(collections.Counter[Cause](row.cause for row in self.rows).most_common())
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ def check_stability(
         most = float(np.max(brightest, initial=0, where=np.isfinite(brightest))) or 1.0
         shown = int(np.count_nonzero(error > limit * most))
         worst = np.argsort(-error, kind="stable")[: min(_MOST, error.size)]
-        found = explain(both, options, worst, error[worst]) if shown else []
+        found = explain(both, options, worst, error[worst], most) if shown else []
     rows = tuple(
         StabilityRow(
             column=int(pixel % width),

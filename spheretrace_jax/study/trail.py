@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from ..camera import Ray
 from ..options import Options
 from ..paths import Path, shade
 from ..render import rays_through
@@ -52,6 +53,8 @@ def trail(
     """
     world, needs = build_world(scene), options.needs
     ray = rays_through(scene, options, pixels, left, top)
+    whole = lambda x: jnp.broadcast_to(x, pixels.shape)
+    ray = Ray(jax.tree.map(whole, ray.origin), ray.direction)
     one = jnp.ones_like(ray.direction.x)
     hit = nearest(world, ray, needs)
     start = Path(ray, hit, one, one > 0, None)
@@ -76,7 +79,7 @@ def _stop(scene: Scene, world: World, path: Path, color: Vec, options: Options) 
     for position, light_color in zip(scene.lights.position, scene.lights.color, strict=True):
         light = vec(position)
         to_light = toward_light(surface, light)
-        lit.append(unoccluded(world, surface.point, hit, light, needs))
+        lit.append((hit.id >= 0) & unoccluded(world, surface.point, hit, light, needs))
         turned.append(lambert(surface, to_light) > 0)
         cosine = HIGHLIGHTS[options.highlight](surface, to_light, ray.direction)
         shows = lit[-1] & turned[-1] & (cosine > 0)

@@ -99,6 +99,8 @@ VALLEYS = [
         scene(LIGHT, exponent=[1.0, 3, 2]), exponent=True, slow=True),
     comes_back("two lights 5 degrees apart", scene(LIGHT, [850.0, -480, 720]), slow=True),
     comes_back("two lights half a degree apart", scene(LIGHT, [895.0, -408, 702]), slow=True),
+    comes_back("two lights 0.001 degrees apart",
+        scene(LIGHT, [900.01, -399.99, 700.01]), slow=True),
 ]  # fmt: skip
 
 
@@ -230,17 +232,3 @@ def half_target() -> str:
     found = fitted(TRUTH, picture()[:, :24])
     assert not found.trust.ok and NOT in found.trust.verdict, found.trust.verdict
     return found.trust.verdict
-
-
-@case(
-    "two lights 0.001 degrees apart, of one colour",
-    "what both do is right; says that they cannot be told apart",
-    slow=True,
-)
-def lights_at_one_place() -> str:
-    truth = scene(LIGHT, np.array(LIGHT) * 1.0 + [0.01, 0.01, 0.01])
-    found = fitted(truth)
-    assert found.trust.ok, found.trust.verdict
-    error, _ = product_error(found, truth)
-    assert error <= 1e-6
-    return f"products to {error:.0e}; says: {'; '.join(found.trust.remarks)}"
