@@ -4,8 +4,10 @@ Errors that a user can cause are one line and exit status 2; a fit that did not 
 that does not check, exits with 1, an interrupted one with 130.
 """
 
+import _thread
 import os
 import sys
+import threading
 import warnings
 from contextlib import nullcontext
 from pathlib import Path
@@ -20,6 +22,7 @@ def main() -> None:
     """The entry point of the `spheretrace` program."""
     import jax
 
+    sys.unraisablehook = _interrupt_again
     try:
         status = _run()
         print(end="", flush=True)
@@ -57,6 +60,15 @@ def _run() -> int:
         _keep_compiled(cache)
     with jax.enable_x64(True) if double else nullcontext():
         return command.run()
+
+
+def _interrupt_again(lost) -> None:
+    """An interrupt while JAX collects garbage would only be printed, and the program go on."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        # a moment later, when this is over
+        threading.Timer(0.01, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _one_line(error: Exception) -> str:

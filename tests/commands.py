@@ -67,6 +67,7 @@ def spheretrace(*words: object) -> tuple[int, str, str]:
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
         patch.object(os, "_exit", sys.exit),
+        patch.object(sys, "unraisablehook", sys.unraisablehook),
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("always")

@@ -35,6 +35,7 @@ def spheretrace(folder, monkeypatch, capfd):
 
     def run(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["spheretrace", *map(str, words)])
+        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
         with warnings.catch_warnings(), pytest.raises(SystemExit) as end:
             warnings.simplefilter("always")
             cli.main()

@@ -8,6 +8,7 @@ import importlib
 import re
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -176,6 +177,21 @@ def test_an_interrupt_before_there_is_anything_to_write_writes_nothing(
     monkeypatch.setattr(st, words[0], lambda *_, **__: interrupt())
     assert spheretrace(*words) == (130, "", "spheretrace: interrupted\n")
     assert files(folder) == before
+
+
+def test_an_interrupt_that_is_lost_in_a_collection_of_garbage_comes_again(folder, monkeypatch):
+    class Interrupting:
+        def __del__(self):
+            interrupt()
+
+    def render(*_, **__):
+        Interrupting()
+        time.sleep(5)
+        pytest.fail("the program went on")
+
+    monkeypatch.setattr(st, "render", render)
+    words, _ = WRITING["render png"]
+    assert spheretrace(*words) == (130, "", "spheretrace: interrupted\n")
 
 
 WRITERS = {
