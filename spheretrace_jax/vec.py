@@ -103,7 +103,7 @@ def _per_length(a: Vec) -> Plane:
     return jnp.where(some, jnp.sqrt(1 / jnp.where(some, square, 1)), 0)
 
 
-def to_order_one(*lengths: Plane) -> Scalar:
+def to_order_one(*lengths: Float[Array, "..."]) -> Scalar:
     """A power of two, so that it is exact, which scales the largest of some lengths to order one.
 
     Squares of lengths overflow in float32 above 1.8e19 and vanish below 1e-19. It counts as a

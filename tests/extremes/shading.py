@@ -68,10 +68,10 @@ SCENES = {
     ),
     "radii of a million to one: a floor of 1e6, spheres of 60 and 1": Extreme(
         three(center=[[0.0, 0, -1e6 - 60], [50, 40, 0], [0.2, -0.4, 90]], radius=[1e6, 60, 1]),
-        2e4, 2e5,
+        2e3, 1e4,
     ),
     "spheres of 1e-3 of a pixel": Extreme(
-        ahead(EYE, (300, 0, 600), radius=[0.03, 0.01, 0.05]), 2e4, 2e5
+        ahead(EYE, (300, 0, 600), radius=[0.03, 0.01, 0.05]), slopes=5e3
     ),
 }  # fmt: skip
 

@@ -37,7 +37,7 @@ SCENES = {
     "mu = 0, in the middle of a room": Extreme(
         three(camera=st.Camera(0.3, 0.4, 0.0, 900.0, 900.0), **ROOM)
     ),
-    "mu = 1e6": view(0.3, 0.4, 1e6, 1.8e6, 300.0, rounding=1e5, slopes=1e6),
+    "mu = 1e6": view(0.3, 0.4, 1e6, 1.8e6, 300.0, rounding=2e4, slopes=1e5),
     "a field of view of 179.9 degrees": Extreme(
         three(camera=st.Camera(0.3, 0.4, 150.0, fov(179.9), 300.0), **ROOM)
     ),
