@@ -30,7 +30,7 @@ def derivatives(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     """The diagrams of the derivative along one movement: of each pixel, and of a sum of them."""
     exact = scene.astype(jnp.float64)
     along = movement(exact, settings)
-    drawn = dict(
+    drawn: dict[str, Any] = dict(
         width=settings.size, height=settings.size, highlight=settings.highlight,
         bounces=settings.bounces, needs=needs(exact),
     )  # fmt: skip

@@ -40,7 +40,7 @@ def solvers(slow: bool) -> dict[str, dict[str, Any]]:
 
     **Arguments:** `slow`: those on the whole Jacobian, too.
     """
-    tolerance = dict(rtol=1e-10, atol=1e-10)
+    tolerance: dict[str, Any] = dict(rtol=1e-10, atol=1e-10)
     levenberg = optx.LevenbergMarquardt(**tolerance)
     found: dict[str, dict[str, Any]] = {
         "ours": {},
@@ -73,7 +73,7 @@ def fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
 def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
     """Fits of colours, ka, kd, ks and lights by each solver."""
     truth = scene.astype(jnp.float64).with_antialias(0)
-    drawn = dict(highlight=settings.highlight, bounces=settings.bounces)
+    drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
     target = np.asarray(render(truth, width=settings.fit_size, height=settings.fit_size, **drawn))
     settings.say("fit: what the picture determines")
     known = _known(truth, target, drawn)

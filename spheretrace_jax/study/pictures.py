@@ -1,6 +1,7 @@
 """Pictures: error against time, of single rays and of covered edges, in both precisions."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,8 +17,8 @@ from .work import Diagram, Point, Program, clock, relative
 def pictures(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     """The diagram of a scene's pictures."""
     exact = scene.astype(jnp.float64)
-    size = dict(width=settings.size, height=settings.size)
-    drawn = dict(highlight=settings.highlight, bounces=settings.bounces)
+    size: dict[str, Any] = dict(width=settings.size, height=settings.size)
+    drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
     settings.say(f"picture: {settings.truth_rays} rays per pixel for the truth")
     program = options(exact.with_antialias(0), **size, **drawn)
     truth = np.asarray(lattice_picture(program, settings.truth_rays)(exact))

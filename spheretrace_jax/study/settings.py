@@ -30,11 +30,21 @@ class Settings:
     say: Callable[[str], None] = lambda text: None  #: told what is done next
 
 
-def quick(**changes) -> Settings:
-    """A study of a minute: small pictures, few points, and no bounces, which compile longest."""
-    few = dict(
-        bounces=0, size=64, rays=(1, 2, 4, 8), covered=(1, 2), steps=(0.1, 1.0), truth_rays=2500,
-        fit_size=48, fit_seconds=1.0, slow_solvers=False, sides=(128, 256, 512),
-        counts=(10, 100, 1000), lights=(1, 4), depths=(0, 1, 3), gradients=False, seconds=0.1,
-    )  # fmt: skip
-    return Settings(**(few | changes))
+#: A study of a minute: small pictures, few points, and no bounces, which compile longest.
+QUICK = Settings(
+    bounces=0,
+    size=64,
+    rays=(1, 2, 4, 8),
+    covered=(1, 2),
+    steps=(0.1, 1.0),
+    truth_rays=2500,
+    fit_size=48,
+    fit_seconds=1.0,
+    slow_solvers=False,
+    sides=(128, 256, 512),
+    counts=(10, 100, 1000),
+    lights=(1, 4),
+    depths=(0, 1, 3),
+    gradients=False,
+    seconds=0.1,
+)

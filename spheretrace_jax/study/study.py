@@ -15,7 +15,7 @@ from .derivatives import derivatives
 from .fits import fits
 from .pictures import pictures
 from .scale import scale
-from .settings import Settings, quick as quick_settings
+from .settings import QUICK, Settings
 from .work import Diagram
 
 #: What can be studied, in this order.
@@ -61,7 +61,7 @@ def study(
     if unknown or not parts:
         got = ", ".join(unknown) or "none"
         raise InputError(f"parts of a study must be among {', '.join(PARTS)}, got {got}")
-    settings = quick_settings(**changes) if quick else Settings(**changes)
+    settings = dataclasses.replace(QUICK if quick else Settings(), **changes)
     found: list[Diagram] = []
     with jax.enable_x64(True):
         for part in parts:
