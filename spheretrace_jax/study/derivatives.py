@@ -124,7 +124,8 @@ def _difference(
 
 
 def _dot(a: Scene, b: Scene) -> Array:
-    return sum(jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return jnp.sum(jnp.stack([jnp.vdot(x, y) for x, y in pairs]))
 
 
 def movement(scene: Scene, settings: Settings) -> Scene:
