@@ -152,7 +152,7 @@ def _points(
     points = []
     for method, way in ways.items():
         settings.say(f"{method}, {diagram}")
-        first, curve = way(settings.fit_seconds), way(settings.fit_seconds)
+        first, curve = way(settings.fit_seconds / 10), way(settings.fit_seconds)
         k = min(_COMPILED, len(first) - 1, len(curve) - 1)
         compiling = max(first[k][0] - curve[k][0], 0.0)
         for k in _spread(len(curve)):

@@ -16,9 +16,9 @@ class Settings:
     rays: tuple[int, ...] = (1, 2, 4, 8, 16)  #: k of k x k single rays
     covered: tuple[int, ...] = (1, 2, 4)  #: k of k x k parts whose edges are covered
     steps: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0)  #: of differences, in pixels that edges move
-    truth_rays: int = 10_000  #: of the reference, per pixel
+    truth_rays: int = 5000  #: of the reference, per pixel
     fit_size: int = 128  #: of pictures that are fitted
-    fit_seconds: float = 10.0  #: after which a solver is stopped
+    fit_seconds: float = 5.0  #: after which a solver is stopped
     slow_solvers: bool = True  #: those on the whole Jacobian, too
     sides: tuple[int, ...] = (64, 128, 256, 512, 1024)  #: of pictures whose time is measured
     counts: tuple[int, ...] = (10, 100, 1000, 10_000, 100_000)  #: of spheres

@@ -11,16 +11,9 @@ class Case:
 
     tried: str  #: what is extreme about it
     promise: str  #: what must hold
-    check: Callable[
-        [], str
-    ]  #: raises AssertionError where it does not; what was measured, in words
+    check: Callable[[], str]  #: says what was measured; AssertionError if it does not hold
     source: str = ""  #: where the case is known from
     slow: bool = False  #: takes more than some seconds
-
-    @property
-    def name(self) -> str:
-        """What its test is called."""
-        return self.tried
 
 
 def case(tried: str, promise: str, source: str = "", slow: bool = False) -> Callable:
