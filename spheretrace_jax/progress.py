@@ -10,22 +10,23 @@ def busy(text: str):
     return Console(stderr=True).status(text)
 
 
+def _bar(*columns):
+    """A bar of progress, as a context; hidden where it would leave an empty line."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
 def fit_with_progress(scene, target, **settings):
     """`fit` with a bar that shows its steps. **Arguments:** as for `fit`."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from . import fit
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True)
-    hidden = not console.is_terminal  # where it would leave an empty line
-    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
+    text = TextColumn("{task.description}")
+    with _bar(text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task("compiling", total=None)
 
         def show(state) -> None:
@@ -57,21 +58,12 @@ def report_with_progress(folder: Path, found, start, target, free, settings) -> 
 
 def study_with_progress(scene, **settings):
     """`study` with a bar that shows its parts. **Arguments:** as for `study`."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from .study.study import study
 
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    console = Console(stderr=True)
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    text = TextColumn("{task.description}")
+    with _bar(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), text) as bar:
         parts = settings["parts"]
         task = bar.add_task("", total=len(parts))
 

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import spheretrace_jax as st
+from spheretrace_jax.study.derivatives import blurred
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from scenes import nine_spheres, three_spheres
@@ -58,13 +59,6 @@ def derivative(scene: st.Scene, **settings) -> Callable[[str], np.ndarray]:
     )
     still = jax.tree.map(jnp.zeros_like, scene)
     return lambda name: np.asarray(forward(moved(still, name, 1.0)))
-
-
-def blurred(picture: np.ndarray, width: float) -> np.ndarray:
-    """A picture convolved with a Gaussian, periodically. **Arguments:** `width`: in pixels."""
-    gauss = [np.exp(-2 * (np.pi * width * np.fft.fftfreq(n)) ** 2) for n in picture.shape[:2]]
-    filter_ = gauss[0][:, None, None] * gauss[1][:, None]
-    return np.fft.ifft2(np.fft.fft2(picture, axes=(0, 1)) * filter_, axes=(0, 1)).real
 
 
 def off(value: np.ndarray, truth: np.ndarray) -> float:
