@@ -51,9 +51,16 @@ def test_pictures_come_near_the_truth():
     scene = three_spheres()
     truth = np.asarray(st.render(scene, samples=64, **SIZE))
     point = off(st.render(scene, **SIZE), truth)
-    one, two = (off(st.render(scene.with_antialias(1), samples=k, **SIZE), truth) for k in (1, 2))
+    one = off(st.render(scene.with_antialias(1), **SIZE), truth)
     assert one < 0.01
     assert one < point / 10
+
+
+@pytest.mark.slow
+def test_more_samples_come_nearer_to_the_truth():
+    scene = three_spheres()
+    truth = np.asarray(st.render(scene, samples=64, **SIZE))
+    one, two = (off(st.render(scene.with_antialias(1), samples=k, **SIZE), truth) for k in (1, 2))
     assert two < one / 3
 
 
@@ -328,12 +335,6 @@ def value_and_gradient(dtype, bounces: int):
     needs = dataclasses.replace(LEAN, reflection=bounces > 0)
     draw = lambda s: jnp.mean(st.render(s, **(TINY | dict(bounces=bounces)), needs=needs))
     return jax.jit(jax.value_and_grad(draw))
-
-
-@pytest.mark.parametrize("name", ODD)
-def test_odd_scenes_have_finite_pictures(name):
-    picture = st.render(ODD[name].astype(np.float32), **(TINY | dict(bounces=0)), needs=LEAN)
-    assert np.isfinite(picture).all() and picture.mean() > 0
 
 
 @pytest.mark.slow

@@ -49,6 +49,7 @@ def test_fit_picture(tmp_path):
     assert np.isfinite(list(found.values())).all()
 
 
+@pytest.mark.slow
 def test_several_devices(tmp_path):
     said = run("several_devices.py", "--size", "24", "--devices", "4", folder=tmp_path)
     rows = re.findall(r"has rows (\d+)\.\.(\d+)", said)

@@ -119,7 +119,7 @@ def as_float32(scene):
     return jax.tree.map(lambda x: x.astype(jnp.float32), scene)
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("dtype", [pytest.param("float64", marks=pytest.mark.slow), "float32"])
 @pytest.mark.parametrize("name", SCENES)
 def test_the_same_is_met_by_lists_as_without(name, dtype):
     scene = SCENES[name] if dtype == "float64" else as_float32(SCENES[name])
@@ -165,7 +165,14 @@ def of_samples(scene):
     return picture(scene, samples=2, bounces=0)
 
 
-@pytest.mark.parametrize("draw", [picture, gradient, of_many, of_samples], ids=IDS)
+DRAWN = [
+    picture,
+    gradient,
+    *(pytest.param(f, marks=pytest.mark.slow) for f in (of_many, of_samples)),
+]
+
+
+@pytest.mark.parametrize("draw", [picture, gradient, *SLOW], ids=IDS)
 def test_pictures_and_gradients_are_those_without_lists(draw, monkeypatch):
     monkeypatch.setattr(render_module, "STRIP_PIXELS", 700)  # three strips
     jax.clear_caches()

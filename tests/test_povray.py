@@ -40,15 +40,8 @@ SHARP = [reference for reference in REFERENCES if "samples" not in reference]
 SMOOTH = [reference for reference in REFERENCES if "samples" in reference]
 
 
-@pytest.mark.parametrize(
-    "reference",
-    [
-        pytest.param(
-            r, id=r["name"], marks=[pytest.mark.slow] * (r["name"] in ("smooth", "smooth_three"))
-        )
-        for r in SMOOTH
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", SMOOTH, ids=lambda reference: reference["name"])
 def test_covered_edges_are_near_povrays_many_rays(reference):
     options = {key: reference[key] for key in ("width", "height", "highlight", "bounces")}
     theirs = st.read_image(FOLDER / f"{reference['name']}.png", colorspace="linear")

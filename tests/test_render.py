@@ -164,7 +164,7 @@ def test_many_lights_and_many_spheres_loop_to_the_same_picture():
     np.testing.assert_allclose(a, b, atol=1e-13)
 
 
-@pytest.mark.parametrize("count", [128, 300])
+@pytest.mark.parametrize("count", [pytest.param(128, marks=pytest.mark.slow), 300])
 def test_objects_are_numbered_without_overflow(count):
     behind = np.arange(count)[::-1]  # the last sphere is in the middle of the picture
     center = np.stack([30.0 * (behind % 10), 30.0 * (behind // 10), 0 * behind], axis=1)

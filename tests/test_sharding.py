@@ -92,6 +92,7 @@ def test_eight_devices(tmp_path):
     same(on_several_devices(names, tmp_path), names)
 
 
+@pytest.mark.slow
 def test_two_processes(tmp_path):
     """Each of four devices, of which the other process sees none."""
     for found in in_several_processes("views", tmp_path):

@@ -107,6 +107,7 @@ def test_a_shadow_s_edge_through_a_pixel_is_a_tie():
     assert st.check_stability(shaded(0.01), **SIZE).ok
 
 
+@pytest.mark.slow
 def test_mirrors_multiply_the_rounding_of_rays():
     table = st.check_stability(SCENES["inside"], width=SIDE, height=SIDE, bounces=3, limit=1e-6)
     assert next(iter(table.counts)) == "mirrors"

@@ -31,7 +31,9 @@ def grey(truth: st.Scene) -> st.Scene:
     [
         pytest.param(world([900.0, -400, 700]), id="one light"),
         pytest.param(world([-40000.0, 30000, 9000]), id="far and from the side"),
-        pytest.param(world([600.0, -300, 1500], [-500, 400, 1200]), id="two lights"),
+        pytest.param(
+            world([600.0, -300, 1500], [-500, 400, 1200]), id="two lights", marks=pytest.mark.slow
+        ),
         pytest.param(world([900.0, -400, 700], [-600, 100, 900]), id="in shadow of one another"),
     ],
 )

@@ -23,7 +23,6 @@ from fuzz import fuzz_pictures, fuzz_scenes, good_pictures, peak
 
 import spheretrace_jax as st
 from extremes.case import case
-from spheretrace_jax import cli
 from spheretrace_jax.fit.target import make_target
 
 # --- broken files ---------------------------------------------------------------------------------
@@ -185,7 +184,7 @@ def read_only_folder() -> str:
     with (
         workplace() as folder,
         patch.object(st, "render", side_effect=computed),
-        patch.object(cli, "_fit_with_progress", side_effect=computed),
+        patch("spheretrace_jax.commands.fit_with_progress", side_effect=computed),
     ):
         spheretrace("fit", "--help")  # root's libraries are loaded
         Path("open").mkdir()
