@@ -26,8 +26,8 @@ from spheretrace_jax.study.work import Diagram, Point, clock, slope
 LIGHT = [900.0, -400, 700]
 TINY = dict(
     bounces=0, size=16, rays=(1, 2, 4), covered=(1,), steps=(0.3,), truth_rays=600, fit_size=16,
-    fit_seconds=0.1, slow_solvers=False, sides=(8, 16, 32), counts=(3, 6), lights=(1, 2),
-    depths=(0, 1), gradients=False, seconds=0.01,
+    fit_seconds=0.1, sides=(8, 16, 32), counts=(3, 6), lights=(1, 2),
+    depths=(0, 1), thorough=False, seconds=0.01,
 )  # fmt: skip
 
 
@@ -112,11 +112,11 @@ def test_pictures_are_compared_with_the_truth():
     scene = st.Scene(ball, st.Lights([LIGHT]))
     (diagram,) = study(scene, parts=["picture"], **TINY).diagrams
     errors = {name: [p.error for p in curve] for name, curve in diagram.curves.items()}
-    assert len(errors) == 4
-    for dtype in ("float32", "float64"):
-        rays, covered = errors[f"single rays, {dtype}"], errors[f"covered edges, {dtype}"]
-        assert rays[0] > rays[1] > rays[2] > diagram.uncertainty
-        assert covered[0] < rays[0] / 4
+    assert len(errors) == 3
+    rays, covered = errors["single rays, float32"], errors["covered edges, float32"]
+    assert rays[0] > rays[1] > rays[2] > diagram.uncertainty
+    assert covered[0] < rays[0] / 4
+    assert errors["single rays, float64"] == pytest.approx(rays[:1], rel=1e-3)
     assert all(p.seconds > 0 and p.compile_seconds > 0 for p in diagram.points)
 
 
@@ -131,7 +131,7 @@ def test_a_whole_study_of_a_small_scene():
     derived = curves["derivative"]
     assert derived["single rays, forward mode"][0].error > 0.5
     assert derived["covered edges, forward mode"][0].error < 0.5
-    assert set(curves["fit"]) == set(solvers(slow=False))
+    assert set(curves["fit"]) == set(solvers(thorough=False))
     ours = curves["fit"]["ours"]
     assert ours[0].error > 0.05 and ours[-1].error < 1e-9
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._types import Highlight
+from .._types import Highlight, Picture
 from ..errors import InputError
 from ..fit.identify import identify
 from ..fit.names import names_of
@@ -104,12 +104,26 @@ def check_condition(
             scene = scene.with_antialias(0)
         needs = needs_of(scene) if needs is None else needs
         drawn = render_options(scene, width, height, highlight, bounces, samples, needs)
-        problem = make_problem(
-            scene, draw(scene, drawn), tuple(free), (), highlight, bounces, samples, noise=noise
-        )  # fmt: skip
-        values = problem.start()
-        uncertainty = estimate(problem, values, normal_at(problem, values), 1.0)
+        picture = draw(scene, drawn)
+        uncertainty = uncertainty_at(
+            scene, picture, tuple(free), noise, highlight, bounces, samples
+        )
         return _condition(uncertainty, tuple(free), noise)
+
+
+def uncertainty_at(
+    scene: Scene,
+    picture: Picture,
+    free: tuple[str, ...],
+    noise: float,
+    highlight: Highlight,
+    bounces: int,
+    samples: int = 1,
+) -> Uncertainty:
+    """How well a scene's own picture determines it, with so much noise."""
+    problem = make_problem(scene, picture, free, (), highlight, bounces, samples, noise=noise)
+    values = problem.start()
+    return estimate(problem, values, normal_at(problem, values), 1.0)
 
 
 def _condition(uncertainty: Uncertainty, free: tuple[str, ...], noise: float) -> Condition:

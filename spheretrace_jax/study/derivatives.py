@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from .._types import Picture
 from ..needs import needs
@@ -76,58 +75,6 @@ def derivatives(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class _Work:
-    """One way to a derivative."""
-
-    program: Program
-    run: Callable[[], Any]  #: what is timed
-    read: Callable[[Any], np.ndarray] = np.asarray  #: the derivative picture, or its sum
-
-
-def _works(
-    scene: Scene, along: Scene, weight: np.ndarray, drawn: dict, settings: Settings
-) -> dict[tuple[str, str, float], _Work]:
-    """All ways, by method, knob and the knob's number."""
-    works = {}
-    for method, antialias, knobs in (
-        ("single rays", 0, settings.rays[:3]),
-        ("covered edges", 1, settings.covered),
-    ):
-        one, still = (s.with_antialias(antialias) for s in (scene, along))
-        for k in knobs:
-            settings.say(f"derivative: {method}, {k} x {k}")
-            picture = partial(draw, options=options(one, samples=k, **drawn))
-            push = Program(lambda s, ds, f=picture: jax.jvp(f, (s,), (ds,))[1], one, still)
-            works[f"{method}, forward mode", f"{k} x {k}", float(k)] = _Work(push, push)
-            if not settings.gradients:
-                continue
-            pull = Program(lambda s, w, f=picture: jax.vjp(f, s)[1](w)[0], one, jnp.asarray(weight))
-            read = lambda slope, still=still: np.asarray(_dot(slope, still))
-            works[f"{method}, reverse mode", f"{k} x {k}", float(k)] = _Work(pull, pull, read)
-        k = knobs[-1] if antialias == 0 else knobs[0]
-        settings.say(f"derivative: differences of {method}, {k} x {k}")
-        draw_it = Program(partial(draw, options=options(one, samples=k, **drawn)), one)
-        for step in settings.steps:
-            run = lambda h=step, f=draw_it, s=one, ds=still: _difference(f, s, ds, h)
-            works[f"differences of {method}, {k} x {k}", f"step {step:g}", step] = _Work(
-                draw_it, run
-            )
-    return works
-
-
-def _difference(
-    picture: Callable[[Scene], Picture], scene: Scene, along: Scene, step: float
-) -> Any:
-    ahead, behind = (jax.tree.map(lambda a, b, h=h: a + h * b, scene, along) for h in (step, -step))
-    return (picture(ahead) - picture(behind)) / (2 * step)
-
-
-def _dot(a: Scene, b: Scene) -> Array:
-    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return jnp.sum(jnp.stack([jnp.vdot(x, y) for x, y in pairs]))
-
-
 def movement(scene: Scene, settings: Settings) -> Scene:
     """A random direction in which all spheres and lights move, so that edges move a pixel or so."""
     rng = np.random.default_rng(settings.seed)
@@ -145,3 +92,70 @@ def blurred(picture: np.ndarray, width: float) -> np.ndarray:
     gauss = [np.exp(-2 * (np.pi * width * np.fft.fftfreq(n)) ** 2) for n in picture.shape[:2]]
     filter_ = gauss[0][:, None, None] * gauss[1][:, None]
     return np.fft.ifft2(np.fft.fft2(picture, axes=(0, 1)) * filter_, axes=(0, 1)).real
+
+
+@dataclasses.dataclass(frozen=True)
+class _Work:
+    """One way to a derivative."""
+
+    program: Program
+    run: Callable[[], Any]  #: what is timed
+    read: Callable[[Any], np.ndarray] = np.asarray  #: the derivative picture, or its sum
+
+
+def _works(
+    scene: Scene, along: Scene, weight: np.ndarray, drawn: dict, settings: Settings
+) -> dict[tuple[str, str, float], _Work]:
+    """All ways, by method, knob and the knob's number."""
+    makers, scenes = {}, {}
+    for method, antialias, knobs in (
+        ("single rays", 0, settings.rays[:3:2]),
+        ("covered edges", 1, settings.covered if settings.thorough else settings.covered[:1]),
+    ):
+        one, still = scenes[method] = tuple(s.with_antialias(antialias) for s in (scene, along))
+        for k in knobs:
+            picture = partial(draw, options=options(one, samples=k, **drawn))
+            makers[method, "forward mode", k] = partial(Program, _pushed(picture), one, still)
+            if settings.thorough:
+                args = one, jnp.asarray(weight)
+                makers[method, "reverse mode", k] = partial(Program, _pulled(picture), *args)
+        if antialias and not settings.thorough:
+            continue
+        # of a few rays, as one ray hardly ever sees an edge move
+        k = knobs[0] if antialias else knobs[-1]
+        picture = partial(draw, options=options(one, samples=k, **drawn))
+        makers[method, "differences", k] = partial(Program, picture, one)
+    works = {}
+    for (method, way, k), make in makers.items():
+        settings.say(f"derivative: {method}, {k} x {k}, {way}")
+        program, (one, still) = make(), scenes[method]
+        if way == "differences":
+            for step in settings.steps:
+                run = partial(_difference, program, one, still, step)
+                key = f"differences of {method}, {k} x {k}", f"step {step:g}", step
+                works[key] = _Work(program, run)
+        else:
+            read = np.asarray if way == "forward mode" else partial(_along, still)
+            works[f"{method}, {way}", f"{k} x {k}", float(k)] = _Work(program, program, read)
+    settings.say("derivative: errors and times")
+    return works
+
+
+def _pushed(picture: Callable[[Scene], Picture]) -> Callable[[Scene, Scene], Picture]:
+    return lambda scene, along: jax.jvp(picture, (scene,), (along,))[1]
+
+
+def _pulled(picture: Callable[[Scene], Picture]) -> Callable[[Scene, Picture], Scene]:
+    return lambda scene, weight: jax.vjp(picture, scene)[1](weight)[0]
+
+
+def _along(still: Scene, slope: Scene) -> np.ndarray:
+    pairs = zip(jax.tree.leaves(slope), jax.tree.leaves(still), strict=True)
+    return np.sum([np.vdot(x, y) for x, y in pairs])
+
+
+def _difference(
+    picture: Callable[[Scene], Picture], scene: Scene, along: Scene, step: float
+) -> Any:
+    moved = lambda h: picture(jax.tree.map(lambda a, b: a + h * b, scene, along))
+    return (moved(step) - moved(-step)) / (2 * step)

@@ -7,17 +7,20 @@ from importlib.util import find_spec
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jaxtyping import Array, Float
 
+from .._types import Picture
 from ..fit import fit
-from ..fit.determined import determined
 from ..fit.parameters import PLACES
 from ..fit.run import Progress
 from ..fit.solve import DEFAULT_FREE
 from ..render import render
 from ..scene import Scene
+from .condition import uncertainty_at
 from .mitsuba import RECIPES, adam_fit, fitted, matt, mitsuba
 from .settings import Settings
 from .work import Diagram, Point
@@ -35,31 +38,33 @@ _COMPILED = 3
 _MOST_STEPS = 100_000
 
 
-def solvers(slow: bool) -> dict[str, dict[str, Any]]:
+def solvers(thorough: bool) -> dict[str, dict[str, Any]]:
     """What `fit` is told for each method; Optax's Adam only where Optax is installed.
 
-    **Arguments:** `slow`: those on the whole Jacobian, too.
+    **Arguments:** `thorough`: also those that compile for long, on the whole Jacobian for example.
     """
     tolerance: dict[str, Any] = dict(rtol=1e-10, atol=1e-10)
     levenberg = optx.LevenbergMarquardt(**tolerance)
     found: dict[str, dict[str, Any]] = {
         "ours": {},
-        "ours, lights first": dict(start="lights"),
         "Optimistix LevenbergMarquardt": dict(solver=levenberg),
-        "Optimistix Dogleg": dict(solver=optx.Dogleg(**tolerance)),
-        "Optimistix GaussNewton": dict(solver=optx.GaussNewton(**tolerance)),
-        "Optimistix BFGS": dict(solver=optx.BFGS(**tolerance)),
-        "Optimistix NonlinearCG": dict(solver=optx.NonlinearCG(**tolerance)),
     }
     if find_spec("optax"):
         import optax
 
         found["Optax Adam"] = dict(solver=optx.OptaxMinimiser(optax.adam(0.01), **tolerance))
-    if slow:
-        found["ours, whole Jacobian"] = dict(jacobian="dense")
-        found["Optimistix LevenbergMarquardt, whole Jacobian"] = dict(
-            jacobian="dense", solver=levenberg
-        )
+    if thorough:
+        found |= {
+            "ours, lights first": dict(start="lights"),
+            "Optimistix Dogleg": dict(solver=optx.Dogleg(**tolerance)),
+            "Optimistix GaussNewton": dict(solver=optx.GaussNewton(**tolerance)),
+            "Optimistix BFGS": dict(solver=optx.BFGS(**tolerance)),
+            "Optimistix NonlinearCG": dict(solver=optx.NonlinearCG(**tolerance)),
+            "ours, whole Jacobian": dict(jacobian="dense"),
+            "Optimistix LevenbergMarquardt, whole Jacobian": dict(
+                jacobian="dense", solver=levenberg
+            ),
+        }
     return found
 
 
@@ -74,15 +79,23 @@ def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
     """Fits of colours, ka, kd, ks and lights by each solver."""
     truth = scene.astype(jnp.float64).with_antialias(0)
     drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
-    target = np.asarray(render(truth, width=settings.fit_size, height=settings.fit_size, **drawn))
+    target = render(truth, width=settings.fit_size, height=settings.fit_size, **drawn)
     settings.say("fit: what the picture determines")
-    known = _known(truth, target, drawn)
-    start = displaced(truth)
+    known = uncertainty_at(truth, target, DEFAULT_FREE, _NOISE, **drawn).of(_products) < _KNOWN
+    start, far = displaced(truth), np.linalg.norm(truth.lights.position, axis=-1, keepdims=True)
+
+    products = jax.jit(_products)
+
+    def error(found: Scene) -> float:
+        off = np.abs(products(found) - products(truth))[known]
+        away = np.abs(found.lights.position - truth.lights.position) / np.where(far > 0, far, 1)
+        return float(max(off.max(initial=0), away.max()))
+
     ways = {
         method: partial(_curve, start, target, **drawn, **chosen)
-        for method, chosen in solvers(settings.slow_solvers).items()
+        for method, chosen in solvers(settings.thorough).items()
     }
-    points = _points("fit", ways, lambda found: _error(found, truth, known), settings)
+    points = _points("fit", ways, error, settings)
     return Diagram(
         "fit",
         f"Fits from the same start, {settings.fit_size} x {settings.fit_size}, step by step",
@@ -105,10 +118,10 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
         return
     truth = matt(scene.astype(jnp.float64))
     size, free = settings.fit_size, ("color", "light_position")
-    target = np.asarray(render(truth, width=size, height=size, bounces=0))
+    target = render(truth, width=size, height=size, bounces=0)
     settings.say("fit: ours, matt spheres")
-    known = fit(truth, target, free=free, noise=_NOISE, max_steps=1, bounces=0)
-    seen = known.uncertainty.of(lambda s: s.spheres.kd[:, None] * s.spheres.color) < _KNOWN
+    known = uncertainty_at(truth, target, free, _NOISE, settings.highlight, 0)
+    seen = known.of(lambda s: s.spheres.kd[:, None] * s.spheres.color) < _KNOWN
     places = lambda s: [PLACES[name](s) for name in free]
     start = eqx.tree_at(places, truth, places(displaced(truth)))
     ours = lambda most: [
@@ -162,7 +175,7 @@ def _points(
     return tuple(points)
 
 
-def _curve(first: Scene, target: np.ndarray, most: float, **chosen: Any) -> list:
+def _curve(first: Scene, target: Picture, most: float, **chosen: Any) -> list:
     """Seconds and scenes, step by step from the first one on, until it is time to stop."""
     curve, began = [(0.0, first)], time.perf_counter()
 
@@ -175,24 +188,11 @@ def _curve(first: Scene, target: np.ndarray, most: float, **chosen: Any) -> list
     return curve
 
 
-def _known(truth: Scene, target: np.ndarray, drawn: dict) -> dict[str, np.ndarray]:
-    """Which of the determined products are, by name."""
-    found = fit(truth, target, noise=_NOISE, max_steps=1, **drawn)
-    products = {
-        "ka*color": lambda s: s.spheres.ka[:, None] * s.spheres.color,
-        "kd*color": lambda s: s.spheres.kd[:, None] * s.spheres.color,
-        "ks": lambda s: s.spheres.ks,
-    }
-    return {name: found.uncertainty.of(get) < _KNOWN for name, get in products.items()}
-
-
-def _error(found: Scene, truth: Scene, known: dict[str, np.ndarray]) -> float:
-    ours, true = determined(found), determined(truth)
-    errors = [np.where(mask, ours[name] - true[name], 0) for name, mask in known.items()]
-    far = np.linalg.norm(true["light_position"], axis=-1, keepdims=True)
-    away = ours["light_position"] - true["light_position"]
-    errors.append(away / np.where(far > 0, far, 1))
-    return float(max(np.abs(e).max(initial=0) for e in errors))
+def _products(scene: Scene) -> Float[Array, " numbers"]:
+    """ka color, kd color and ks of all spheres."""
+    s = scene.spheres
+    ambient, diffuse = s.ka[:, None] * s.color, s.kd[:, None] * s.color
+    return jnp.concatenate([ambient.reshape(-1), diffuse.reshape(-1), s.ks])
 
 
 def _spread(count: int) -> list[int]:

@@ -29,13 +29,13 @@ def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     for name, (label, numbers, case) in sweeps.items():
         if name in ("spheres", "bounces") and not len(scene.spheres):
             continue
+        settings.say(f"scale: {name}")
         programs: dict[tuple[str, int], Program] = {}
         for n in numbers:
-            settings.say(f"scale: {n} {name}")
             one, width, depth = case(n)
             program = options(one, width, width, settings.highlight, depth)
             programs["picture", n] = Program(partial(draw, options=program), one)
-            if settings.gradients:
+            if settings.thorough:
                 total = lambda s, p=program: jnp.sum(draw(s, p))
                 programs["gradient", n] = Program(jax.grad(total), one)
         taken = clock(programs, settings.seconds)
