@@ -53,7 +53,7 @@ def _page(study: Study) -> str:
     about = ", ".join(f"{name} {value}" for name, value in study.machine.items())
     parts = [
         "# Error against run time",
-        f"Measured on {about}. Highlights {chosen.highlight}, {chosen.bounces} bounces, seed "
+        f"Measured on {about}; highlights {chosen.highlight}, bounces {chosen.bounces}, seed "
         f"{chosen.seed}. Times are medians of interleaved runs without compilation, which is "
         "apart and leaves out what methods before in the same table had compiled. Every point is "
         "in [points.csv](points.csv).",
@@ -94,8 +94,8 @@ def _work_precision(diagram: Diagram):
         )  # fmt: skip
     if math.isfinite(diagram.uncertainty):
         ax.axhline(diagram.uncertainty, color="grey", linestyle=":", label="the truth is known to")
-    ax.set(xlabel="seconds, without compilation", ylabel=diagram.error, title=diagram.title)
-    _finish(drawn, ax)
+    ax.set(xlabel="seconds, without compilation", ylabel=diagram.error)
+    _finish(drawn, ax, diagram.title)
     return drawn
 
 
@@ -106,13 +106,14 @@ def _growth(diagram: Diagram):
         size = [p.size for p in points]
         time.loglog(size, [p.seconds for p in points], marker="o", label=work)
         memory.loglog(size, [p.memory / 1e6 for p in points], marker="o")
-    time.set(xlabel=diagram.knob, ylabel="seconds", title=diagram.title)
+    time.set(xlabel=diagram.knob, ylabel="seconds")
     memory.set(xlabel=diagram.knob, ylabel="temporaries, MB")
     memory.grid(alpha=0.3)
-    _finish(drawn, time)
+    _finish(drawn, time, diagram.title)
     return drawn
 
 
-def _finish(drawn, ax) -> None:
+def _finish(drawn, ax, title: str) -> None:
     ax.grid(alpha=0.3, which="both")
-    drawn.legend(loc="outside right upper", fontsize="small")
+    drawn.suptitle(title)
+    drawn.legend(loc="outside right center", fontsize="small")

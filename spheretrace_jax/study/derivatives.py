@@ -110,7 +110,7 @@ def _works(
     makers, scenes = {}, {}
     for method, antialias, knobs in (
         ("single rays", 0, settings.rays[:3:2]),
-        ("covered edges", 1, settings.covered if settings.thorough else settings.covered[:1]),
+        ("covered edges", 1, settings.covered[: 2 if settings.thorough else 1]),
     ):
         one, still = scenes[method] = tuple(s.with_antialias(antialias) for s in (scene, along))
         for k in knobs:
