@@ -165,11 +165,7 @@ def of_samples(scene):
     return picture(scene, samples=2, bounces=0)
 
 
-DRAWN = [
-    picture,
-    gradient,
-    *(pytest.param(f, marks=pytest.mark.slow) for f in (of_many, of_samples)),
-]
+SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in (of_many, of_samples)]
 
 
 @pytest.mark.parametrize("draw", [picture, gradient, *SLOW], ids=IDS)
