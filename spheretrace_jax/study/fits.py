@@ -184,7 +184,8 @@ def _curve(first: Scene, target: Picture, most: float, **chosen: Any) -> list:
         if curve[-1][0] > most:
             raise KeyboardInterrupt  # as fit ends with the best scene so far
 
-    fit(first, target, callback=note, max_steps=_MOST_STEPS, **chosen)
+    with jax.numpy_dtype_promotion("standard"):  # as Optax needs it
+        fit(first, target, callback=note, max_steps=_MOST_STEPS, **chosen)
     return curve
 
 
