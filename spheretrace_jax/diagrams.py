@@ -31,6 +31,7 @@ def write_study(folder: str | os.PathLike, study: Study) -> list[Path]:
         for ending in ("png", "svg"):
             files.append(folder / f"{diagram.name}.{ending}")
             save_figure(drawn, files[-1])
+            drawn.set_layout_engine("none")  # it is laid out now, which takes longest
     write_text(files[1], _points(study))
     write_text(files[0], _page(study))
     return files

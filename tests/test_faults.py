@@ -25,6 +25,14 @@ from spheretrace_jax.files import atomic
 solve = importlib.import_module("spheretrace_jax.fit.solve")  # the function has the same name
 
 
+@pytest.fixture(autouse=True)
+def interruptible() -> Iterator[None]:
+    """A shell has what it runs in the background ignore interrupts, and so these tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module")
 def filled() -> Iterator[Path]:
     with workplace() as folder:

@@ -41,7 +41,7 @@ _MOST_STEPS = 100_000
 def solvers(thorough: bool) -> dict[str, dict[str, Any]]:
     """What `fit` is told for each method; Optax's Adam only where Optax is installed.
 
-    **Arguments:** `thorough`: also those that compile for long, on the whole Jacobian for example.
+    **Arguments:** `thorough`: all of them, which compile for long.
     """
     tolerance: dict[str, Any] = dict(rtol=1e-10, atol=1e-10)
     levenberg = optx.LevenbergMarquardt(**tolerance)
@@ -49,10 +49,6 @@ def solvers(thorough: bool) -> dict[str, dict[str, Any]]:
         "ours": {},
         "Optimistix LevenbergMarquardt": dict(solver=levenberg),
     }
-    if find_spec("optax"):
-        import optax
-
-        found["Optax Adam"] = dict(solver=optx.OptaxMinimiser(optax.adam(0.01), **tolerance))
     if thorough:
         found |= {
             "ours, lights first": dict(start="lights"),
@@ -65,6 +61,10 @@ def solvers(thorough: bool) -> dict[str, dict[str, Any]]:
                 jacobian="dense", solver=levenberg
             ),
         }
+    if thorough and find_spec("optax"):
+        import optax
+
+        found["Optax Adam"] = dict(solver=optx.OptaxMinimiser(optax.adam(0.01), **tolerance))
     return found
 
 
