@@ -26,7 +26,7 @@ from spheretrace_jax.study.work import Diagram, Point, clock, slope
 LIGHT = [900.0, -400, 700]
 TINY = dict(
     bounces=0, size=16, rays=(1, 2, 4), covered=(1,), steps=(0.3,), truth_rays=600, fit_size=16,
-    fit_seconds=0.1, sides=(8, 16, 32), counts=(3, 6), lights=(1, 2),
+    fit_seconds=2.0, sides=(8, 16, 32), counts=(3, 6), lights=(1, 2),
     depths=(0, 1), thorough=False, seconds=0.01,
 )  # fmt: skip
 
