@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from typing import Any
 
+from .info import print_table
 from .needs import needs
 from .progress import busy
 from .scene import Scene
 from .study.condition import Condition, check_condition
-from .study.gradients import FORWARD, REVERSE, GradientTable, check_gradients, present
+from .study.gradients import GradientTable, check_gradients, present
 from .study.stability import StabilityTable, check_stability
 
 # Of more pixels than these only the worst are shown.
@@ -43,11 +44,11 @@ def _print_gradients(table: GradientTable) -> None:
     rows = [
         (
             row.parameter, f"{row.forward:.1e}", f"{row.reverse:.1e}", f"{row.largest:.1e}",
-            str(row.left_out), "yes" if row.forward <= FORWARD and row.reverse <= REVERSE else "NO",
+            str(row.left_out), "yes" if row.agree else "NO",
         )
         for row in table.rows
     ]  # fmt: skip
-    _table(("parameter", "jvp - fd", "vjp - jvp", "largest", "pixels left out", "agree"), rows)
+    print_table(("parameter", "jvp - fd", "vjp - jvp", "largest", "pixels left out", "agree"), rows)
     _say(*table.words, "")
 
 
@@ -66,7 +67,7 @@ def _print_stability(table: StabilityTable) -> None:
         for row in table.rows[:_MOST_PIXELS]
     ]  # fmt: skip
     if rows:
-        _table(("column", "row", "error", "ulps", "cause", "factor", "where"), rows)
+        print_table(("column", "row", "error", "ulps", "cause", "factor", "where"), rows)
     _say(*table.warnings, "")
 
 
@@ -81,14 +82,3 @@ def _print_condition(condition: Condition) -> None:
 
 def _say(*lines: str) -> None:
     print(*lines, sep="\n")
-
-
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*columns, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)

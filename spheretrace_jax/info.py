@@ -1,6 +1,6 @@
 """A scene as tables, as `spheretrace info` prints it: what is in it, and what its picture needs."""
 
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,7 @@ _MOST_SPHERES = 50
 
 def print_scene(file: Path, scene: Scene) -> None:
     """Prints what a scene file holds."""
-    from rich.box import SIMPLE_HEAD
     from rich.console import Console
-    from rich.table import Table
 
     console = Console()
     c, s = scene.camera, scene.spheres
@@ -36,15 +34,11 @@ def print_scene(file: Path, scene: Scene) -> None:
     for i, (p, color) in enumerate(zip(scene.lights.position, scene.lights.color, strict=True)):
         text = f"light {i + 1}: at {_short(p)}, color {_short(color)}"
         console.print(text, highlight=False, markup=False)
-    table = Table(
-        "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic",
-        box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-    )  # fmt: skip
+    heads = "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic"
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
     shown = min(len(s), _MOST_SPHERES)
-    for i in range(shown):
-        table.add_row(str(i + 1), *(_short(column[i]) for column in columns), str(s.pic[i]))
-    console.print(table)
+    row = lambda i: (str(i + 1), *(_short(column[i]) for column in columns), str(s.pic[i]))
+    print_table(heads, [row(i) for i in range(shown)])
     if len(s) > shown:
         console.print(f"and {len(s) - shown} more spheres")
 
@@ -59,6 +53,18 @@ def print_needs(scene: Scene, costs: dict[str, float]) -> None:
     for name, needed, why in left_out(scene):
         cost = f"+{max(costs[name], 0):.0%}" if name in costs else ""
         table.add_row(name, "yes" if needed else "left out", cost, why)
+    Console().print(table)
+
+
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Prints a narrow table."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*columns, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
     Console().print(table)
 
 

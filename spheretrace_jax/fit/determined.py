@@ -1,16 +1,20 @@
 """What a picture determines of a scene's colours and lights."""
 
+import jax
 import numpy as np
 
 from ..scene import Scene
 
+#: Of all spheres, as functions of the scene: what shows of color, ka, kd and ks.
+PRODUCTS = {
+    "ka*color": lambda scene: scene.spheres.ka[:, None] * scene.spheres.color,
+    "kd*color": lambda scene: scene.spheres.kd[:, None] * scene.spheres.color,
+    "ks": lambda scene: scene.spheres.ks,
+}
+
 
 def determined(scene: Scene) -> dict[str, np.ndarray]:
     """What a picture determines: the products of colour and coefficients, ks, the lights."""
-    s = scene.spheres
-    return {
-        "ka*color": np.asarray(s.ka)[:, None] * np.asarray(s.color),
-        "kd*color": np.asarray(s.kd)[:, None] * np.asarray(s.color),
-        "ks": np.asarray(s.ks),
-        "light_position": np.asarray(scene.lights.position),
-    }
+    arrays = jax.tree.map(np.asarray, scene)
+    shown = PRODUCTS | {"light_position": lambda scene: scene.lights.position}
+    return {name: of(arrays) for name, of in shown.items()}

@@ -87,11 +87,8 @@ def judge(fit) -> Trust:
 
 def _explains_nothing(fit) -> bool:
     """Whether the fit leaves as much of the pictures as it would of noise."""
-    all_of_it, left, free = (
-        fit.problem.length**2,
-        2 * fit.cost,
-        fit.problem.at_bounds(fit.values).size,
-    )
+    all_of_it, left = fit.problem.length**2, 2 * fit.cost
+    free = fit.problem.at_bounds(fit.values).size
     if not all_of_it or fit.problem.targets[0].loss != "square":
         return False
     chance = (free + _CHANCE * np.sqrt(2 * free)) * left / fit.counted

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._types import Highlight, Picture
 from ..errors import InputError
+from ..fit.determined import PRODUCTS
 from ..fit.identify import identify
 from ..fit.names import names_of
 from ..fit.parameters import GEOMETRY, value
@@ -16,7 +17,7 @@ from ..fit.problem import make_problem, normal_at
 from ..fit.solve import DEFAULT_FREE
 from ..fit.trust import together
 from ..fit.uncertainty import Uncertainty, estimate
-from ..needs import Needs, needs as needs_of
+from ..needs import Needs
 from ..options import options as render_options
 from ..render import draw
 from ..scene import Scene
@@ -94,7 +95,7 @@ def check_condition(
     **Raises:** `InputError` for unknown names, and if nothing can be free.
     """
     with jax.enable_x64(True):
-        scene = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), scene)
+        scene = scene.astype(jnp.float64)
         if free is None:
             free = [name for name in DEFAULT_FREE if value(scene, name).size]
         if not free:
@@ -102,7 +103,6 @@ def check_condition(
         if not GEOMETRY & set(free):
             # edges say little of colours and lights; their Jacobian takes two minutes to compile
             scene = scene.with_antialias(0)
-        needs = needs_of(scene) if needs is None else needs
         drawn = render_options(scene, width, height, highlight, bounces, samples, needs)
         picture = draw(scene, drawn)
         uncertainty = uncertainty_at(
@@ -148,9 +148,8 @@ def _loose(uncertainty: Uncertainty, free: set[str]) -> dict[str, float]:
     deviations = dict(zip(names.tolist(), known.tolist(), strict=True))
     for k in ("ka", "kd"):
         if {"color", k} <= free:
-            product = lambda s, k=k: getattr(s.spheres, k)[:, None] * s.spheres.color
             deviations |= {
                 f"sphere {i + 1}'s {k} color": float(np.max(row))
-                for i, row in enumerate(uncertainty.of(product))
+                for i, row in enumerate(uncertainty.of(PRODUCTS[f"{k}*color"]))
             }
     return {name: x for name, x in deviations.items() if _WORTH < x < np.inf}

@@ -107,36 +107,33 @@ def _works(
     scene: Scene, along: Scene, weight: np.ndarray, drawn: dict, settings: Settings
 ) -> dict[tuple[str, str, float], _Work]:
     """All ways, by method, knob and the knob's number."""
-    makers, scenes = {}, {}
+    works = {}
     for method, antialias, knobs in (
         ("single rays", 0, settings.rays[:3:2]),
         ("covered edges", 1, settings.covered[: 2 if settings.thorough else 1]),
     ):
-        one, still = scenes[method] = tuple(s.with_antialias(antialias) for s in (scene, along))
-        for k in knobs:
+        one, still = (s.with_antialias(antialias) for s in (scene, along))
+
+        def program(way: str, k: int, derived: Callable, *arguments: Any) -> Program:
+            settings.say(f"derivative: {method}, {k} x {k}, {way}")
             picture = partial(draw, options=options(one, samples=k, **drawn))
-            makers[method, "forward mode", k] = partial(Program, _pushed(picture), one, still)
+            return Program(derived(picture), *arguments)
+
+        for k in knobs:
+            push = program("forward mode", k, _pushed, one, still)
+            works[f"{method}, forward mode", f"{k} x {k}", float(k)] = _Work(push, push)
             if settings.thorough:
-                args = one, jnp.asarray(weight)
-                makers[method, "reverse mode", k] = partial(Program, _pulled(picture), *args)
+                pull = program("reverse mode", k, _pulled, one, jnp.asarray(weight))
+                work = _Work(pull, pull, partial(_along, still))
+                works[f"{method}, reverse mode", f"{k} x {k}", float(k)] = work
         if antialias and not settings.thorough:
             continue
         # of a few rays, as one ray hardly ever sees an edge move
         k = knobs[0] if antialias else knobs[-1]
-        picture = partial(draw, options=options(one, samples=k, **drawn))
-        makers[method, "differences", k] = partial(Program, picture, one)
-    works = {}
-    for (method, way, k), make in makers.items():
-        settings.say(f"derivative: {method}, {k} x {k}, {way}")
-        program, (one, still) = make(), scenes[method]
-        if way == "differences":
-            for step in settings.steps:
-                run = partial(_difference, program, one, still, step)
-                key = f"differences of {method}, {k} x {k}", f"step {step:g}", step
-                works[key] = _Work(program, run)
-        else:
-            read = np.asarray if way == "forward mode" else partial(_along, still)
-            works[f"{method}, {way}", f"{k} x {k}", float(k)] = _Work(program, program, read)
+        picture = program("differences", k, lambda picture: picture, one)
+        for step in settings.steps:
+            work = _Work(picture, partial(_difference, picture, one, still, step))
+            works[f"differences of {method}, {k} x {k}", f"step {step:g}", step] = work
     settings.say("derivative: errors and times")
     return works
 

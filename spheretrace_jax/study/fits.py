@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from .._types import Picture
 from ..fit import fit
+from ..fit.determined import PRODUCTS
 from ..fit.parameters import PLACES
 from ..fit.run import Progress
 from ..fit.solve import DEFAULT_FREE
@@ -121,7 +122,7 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     target = render(truth, width=size, height=size, bounces=0)
     settings.say("fit: ours, matt spheres")
     known = uncertainty_at(truth, target, free, _NOISE, settings.highlight, 0)
-    seen = known.of(lambda s: s.spheres.kd[:, None] * s.spheres.color) < _KNOWN
+    seen = known.of(PRODUCTS["kd*color"]) < _KNOWN
     places = lambda s: [PLACES[name](s) for name in free]
     start = eqx.tree_at(places, truth, places(displaced(truth)))
     ours = lambda most: [
@@ -191,9 +192,7 @@ def _curve(first: Scene, target: Picture, most: float, **chosen: Any) -> list:
 
 def _products(scene: Scene) -> Float[Array, " numbers"]:
     """ka color, kd color and ks of all spheres."""
-    s = scene.spheres
-    ambient, diffuse = s.ka[:, None] * s.color, s.kd[:, None] * s.color
-    return jnp.concatenate([ambient.reshape(-1), diffuse.reshape(-1), s.ks])
+    return jnp.concatenate([product(scene).reshape(-1) for product in PRODUCTS.values()])
 
 
 def _spread(count: int) -> list[int]:

@@ -24,7 +24,7 @@ _QUICKLY = {"xla_backend_optimization_level": 0}
 
 # Disagreements up to these are those of the differences, as far as kinks that are hardly seen pass
 # within their step, and of rounding.
-FORWARD, REVERSE = 1e-3, 1e-10
+_FORWARD, _REVERSE = 1e-3, 1e-10
 
 # Where differences ahead and behind, or of one and two steps, disagree by this much, relatively,
 # an edge (a jump) or a kink lies within the step.
@@ -44,6 +44,11 @@ class GradientRow:
     left_out: int  #: pixels that do not count: an edge or a kink lies within the step
     pixels: int
 
+    @property
+    def agree(self) -> bool:
+        """Whether all three agree as far as differences are good."""
+        return self.forward <= _FORWARD and self.reverse <= _REVERSE
+
 
 @dataclasses.dataclass(frozen=True)
 class GradientTable:
@@ -56,7 +61,7 @@ class GradientTable:
     @property
     def ok(self) -> bool:
         """Whether forward mode, reverse mode and differences agree as far as these are good."""
-        return all(r.forward <= FORWARD and r.reverse <= REVERSE for r in self.rows)
+        return all(row.agree for row in self.rows)
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -122,7 +127,7 @@ def check_gradients(
     """
     scene.check_dtype()
     with jax.enable_x64(True):
-        scene = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), scene)
+        scene = scene.astype(jnp.float64)
         idle = _idle(scene, every)
         if needs is None:
             needs = needs_of(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._types import Highlight
-from ..needs import Needs, needs as needs_of
+from ..needs import Needs
 from ..options import options as render_options
 from ..render import draw
 from ..scene import Scene
@@ -121,8 +121,7 @@ def check_stability(
     **Raises:** `InputError` as `render` does.
     """
     with jax.enable_x64(True):
-        scene = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), scene)
-        needs = needs_of(scene) if needs is None else needs
+        scene = scene.astype(jnp.float64)
         options = render_options(scene, width, height, highlight, bounces, samples, needs)
         both = scene.astype(jnp.float32), scene
         single, double = (np.asarray(draw(each, options), np.float64) for each in both)

@@ -18,14 +18,13 @@ import optimistix as optx
 
 import spheretrace_jax as st
 from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.fit.determined import determined
+from spheretrace_jax.fit.determined import PRODUCTS, determined
 from spheretrace_jax.fit.solve import DEFAULT_FREE
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 # products whose standard deviation is less are determined
 KNOWN = 1e-3
 DENSE, SAME = "256x256, Optimistix's LM, dense Jacobian", "256x256 float64"
-PRODUCTS = ("ka*color", "kd*color", "ks")
 
 
 def nine_spheres(dtype: str) -> st.Scene:
@@ -139,12 +138,7 @@ def anywhere(rng: np.random.Generator, lights: int) -> np.ndarray:
 def recovered(found: st.Fit, truth: st.Scene) -> bool:
     """Whether everything that the picture determines has come back, up to the lights' order."""
     a, b = found.scene, truth
-    products = (
-        lambda s: s.spheres.ka[:, None] * s.spheres.color,
-        lambda s: s.spheres.kd[:, None] * s.spheres.color,
-        lambda s: s.spheres.ks,
-    )
-    for product in products:
+    for product in PRODUCTS.values():
         spread = found.uncertainty.of(product)
         off = np.where(spread < KNOWN, np.abs(product(a) - product(b)), 0)
         if (off > np.maximum(1e-6, 2 * spread)).any():

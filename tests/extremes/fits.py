@@ -12,6 +12,7 @@ from scenes import three_apart as scene
 
 import spheretrace_jax as st
 from extremes.case import Case, case
+from spheretrace_jax.fit.determined import PRODUCTS
 from spheretrace_jax.fit.solve import DEFAULT_FREE
 
 SIZE = dict(width=48, height=48)
@@ -38,13 +39,6 @@ def fitted(truth: st.Scene, target=None, exponent: bool = False) -> st.Fit:
     target = np.asarray(st.render(truth, bounces=0, **SIZE)) if target is None else target
     free = (*DEFAULT_FREE, *(["exponent"] * exponent))
     return st.fit(off(truth, exponent), target, free=free, bounces=0)
-
-
-PRODUCTS = {
-    "ka color": lambda s: s.spheres.ka[:, None] * s.spheres.color,
-    "kd color": lambda s: s.spheres.kd[:, None] * s.spheres.color,
-    "ks": lambda s: s.spheres.ks,
-}
 
 
 def product_error(found: st.Fit, truth: st.Scene) -> tuple[float, float]:
