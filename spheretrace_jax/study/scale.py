@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..needs import needs
-from ..options import options
+from ..options import Options, options
 from ..render import draw
 from ..scene import Lights, Scene, Spheres
 from .settings import Settings
@@ -26,19 +26,31 @@ def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
         "lights": ("lights", settings.lights, lambda n: (lit_by(scene, n), side, bounces)),
         "bounces": ("bounces + 1", settings.depths, lambda n: (mirroring(scene), side, n)),
     }
+    shared: dict[tuple, Program] = {}
+
+    def compiled(work: str, one: Scene, program: Options) -> Program:
+        """Once where sweeps meet: one light, or a bounce, is the scene as it is."""
+        shapes = jax.tree.structure(one), *map(jnp.shape, jax.tree.leaves(one))
+        if (work, program, *shapes) not in shared:
+            picture = partial(draw, options=program)
+            total = lambda scene: jnp.sum(picture(scene))
+            function = picture if work == "picture" else jax.grad(total)
+            shared[work, program, *shapes] = Program(function, one)
+        return shared[work, program, *shapes]
+
     for name, (label, numbers, case) in sweeps.items():
         if name in ("spheres", "bounces") and not len(scene.spheres):
             continue
         settings.say(f"scale: {name}")
         programs: dict[tuple[str, int], Program] = {}
+        runs: dict[tuple[str, int], Callable] = {}
         for n in numbers:
             one, width, depth = case(n)
             program = options(one, width, width, settings.highlight, depth)
-            programs["picture", n] = Program(partial(draw, options=program), one)
-            if settings.thorough:
-                total = lambda s, p=program: jnp.sum(draw(s, p))
-                programs["gradient", n] = Program(jax.grad(total), one)
-        taken = clock(programs, settings.seconds)
+            for work in ("picture", "gradient") if settings.thorough else ("picture",):
+                programs[work, n] = compiled(work, one, program)
+                runs[work, n] = partial(programs[work, n], one)
+        taken = clock(runs, settings.seconds)
         size = lambda n, name=name: float({"pixels": n * n, "bounces": n + 1}.get(name, n))
         knob = lambda n, name=name: f"{n} x {n} pixels" if name == "pixels" else _some(n, name)
         points = [
