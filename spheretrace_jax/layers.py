@@ -22,10 +22,11 @@ from .halfplane import HalfPlane, common_area, everything, untouched
 from .intersect import perpendicular
 from .options import Options
 from .outlines import crossing, outline_of
-from .paths import Path, next_path, radiance
+from .paths import Path, next_path
 from .peel import MOST_LAYERS, peel
 from .penumbra import unoccluded_part
 from .phases import keep, remember, retrace
+from .radiance import radiance
 from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
@@ -115,7 +116,7 @@ def layer_color(
     def choose(choice: Index) -> Vec:
         def onward(ray: Ray, surface: Surface) -> Path:
             path = Path(ray, hit, jnp.ones_like(reach), alive, None)
-            path = next_path(world, path, surface, needs, choice)
+            path = next_path(world, path, needs, choice, surface)
             # the mean normal of a sphere as small as the pixel is shorter than 1
             mirrored = Ray(path.ray.origin, unit(path.ray.direction))
             return eqx.tree_at(lambda p: p.ray, path, mirrored)

@@ -1,29 +1,25 @@
 """Paths of rays: what a ray sees where it meets an object, and where the path goes on.
 
-Each bounce has two halves. The discrete one finds, without derivatives, which object is met and
-which lights reach it; the smooth one evaluates the lecture's formulas with those objects' rows and
-is what jax differentiates.
+The lecture's formulas with the rows of the objects met: what jax differentiates.
 """
 
 from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
 
 from ._types import Index, Mask, Plane
 from .appearance import background, light_sums, local_color
 from .camera import Ray
-from .edges import Cone, near_edge, onward
+from .edges import Cone, onward
 from .needs import Needs
 from .options import Options
 from .phases import materialise, materialise_pair, remember
 from .scene import Scene
 from .shading import light_terms
 from .vec import Vec, grey, reflect, where, zeros
-from .visibility import nearest, unoccluded
+from .visibility import unoccluded
 from .world import Hit, Surface, World, surface_at
 
 
@@ -37,108 +33,8 @@ class Path(eqx.Module):
     cone: Cone | None  #: how wide the pixel is; None if edges do not matter any more
 
 
-def radiance(
-    scene: Scene,
-    world: World,
-    ray: Ray,
-    options: Options,
-    leaving: Hit | None = None,
-    alive: Mask | None = None,
-    cone: Cone | None = None,
-) -> tuple[Vec, Mask]:
-    """The colour that each ray sees, and whether an edge may run through its pixel.
-
-    **Arguments:** `leaving`: the hit that the rays start from, None for rays from the eye.
-    `alive`: which rays there are. `cone`: how wide the pixels are, None to look for no edges,
-    which are looked for at the first two hits.
-    """
-    hit = nearest(world, ray, options.needs, leaving)
-    one = jnp.ones_like(ray.direction.x)
-    alive = jnp.full(one.shape, True) if alive is None else alive
-    first = Path(ray, hit, one, alive, cone)
-    edge = jnp.full(one.shape, False)
-    if cone is not None:
-        edge = near_edge(world, scene.lights.position, ray, cone, hit, leaving, options)
-    if options.bounces == 0:
-        return shade(scene, world, first, options)[0], edge
-    if options.needs.branching:
-        color, more = _branching(scene, world, first, options)
-        return color, edge | more
-    color, path = shade(scene, world, first, options)
-    color, more = _follow(scene, world, path, color, options, jnp.zeros((), jnp.int32))
-    return color, edge | more
-
-
-def _branching(scene: Scene, world: World, first: Path, options: Options) -> tuple[Vec, Mask]:
-    """The sum over all paths where objects both reflect and transmit.
-
-    A path is a sequence of choices, bit b of a number: reflect (0) or go straight on (1) at hit b.
-    Paths share beginnings, so hit b counts only in the path that chooses 0 from there on.
-    """
-
-    def path(total: tuple[Vec, Mask], choices: Int[Array, ""]) -> tuple[tuple[Vec, Mask], None]:
-        color, path = shade(scene, world, first, options, choices & 1)
-        color = color * (choices == 0).astype(scene.dtype)
-        color, edge = _follow(scene, world, path, color, options, choices)
-        return (total[0] + color, total[1] | edge), None
-
-    numbers = jnp.arange(1 << options.bounces, dtype=jnp.int32)
-    shape = first.weight.shape
-    start = zeros(shape, scene.dtype), jnp.full(shape, False)
-    return lax.scan(jax.checkpoint(path), start, numbers)[0]
-
-
-def _follow(
-    scene: Scene,
-    world: World,
-    path: Path,
-    color: Vec,
-    options: Options,
-    choices: Int[Array, ""],
-) -> tuple[Vec, Mask]:
-    """Adds what a path sees from its first bounce on, as long as any ray of the strip is alive.
-
-    **Returns:** the colour, and whether an edge may run through the pixel at the first bounce.
-    """
-    lights, cone = scene.lights.position, path.cone
-    path = eqx.tree_at(lambda p: p.cone, path, None, is_leaf=lambda x: x is None)
-
-    def look(path: Path, hit: Hit, cone: Cone) -> Mask:
-        return path.alive & near_edge(world, lights, path.ray, cone, hit, path.hit, options)
-
-    def bounce(state: tuple, number: Int[Array, ""]) -> tuple[tuple, None]:
-        def go_on(path: Path, color: Vec, edge: Mask) -> tuple[Path, Vec, Mask]:
-            hit = nearest(world, path.ray, options.needs, path.hit)
-            if cone is not None:
-                skip = lambda *_: jnp.full(edge.shape, False)
-                edge = edge | lax.cond(number == 1, look, skip, path, hit, cone)
-            path = eqx.tree_at(lambda p: p.hit, path, hit)
-            later = choices >> number
-            more, path = shade(scene, world, path, options, later & 1)
-            return path, color + more * (later == 0).astype(scene.dtype), edge
-
-        def stop(*state):
-            return state
-
-        return lax.cond(jnp.any(state[0].alive), go_on, stop, *state), None
-
-    start = path, color, jnp.full(path.alive.shape, False)
-    numbers = jnp.arange(1, options.bounces + 1, dtype=jnp.int32)
-    (_, color, edge), _ = lax.scan(bounce, start, numbers)
-    return color, edge
-
-
-def shade(
-    scene: Scene,
-    world: World,
-    path: Path,
-    options: Options,
-    choice: Index = 0,
-) -> tuple[Vec, Path]:
-    """What a path's present hit adds to the picture, and the path that goes on from there.
-
-    **Arguments:** `choice`: where an object both reflects and transmits, 0 to reflect.
-    """
+def shade(scene: Scene, world: World, path: Path, options: Options) -> Vec:
+    """What a path's present hit adds to the picture."""
     needs, ray, hit = options.needs, path.ray, path.hit
     terms = partial(light_terms_at, world, ray, hit, options)
     sums = light_sums(scene, hit.id.shape, needs, terms)
@@ -153,13 +49,8 @@ def shade(
         return where(seen, color * path.weight, zeros(path.weight.shape, scene.dtype))
 
     if needs.colors:
-        color = materialise(seen_color, world.window)
-    else:
-        color = grey(materialise(lambda: seen_color().x, world.window))
-    if not needs.bounces:
-        return color, path
-    surface = surface_at(world, ray, hit, needs)
-    return color, next_path(world, path, surface, needs, choice)
+        return materialise(seen_color, world.window)
+    return grey(materialise(lambda: seen_color().x, world.window))
 
 
 def light_terms_at(
@@ -188,32 +79,43 @@ def light_terms_at(
     return materialise_pair(terms, world.window) if highlight else terms()
 
 
+def _turn(world: World, hit: Hit, needs: Needs, choice: Index) -> tuple[Mask | None, Plane]:
+    """Whether paths go straight on, None for none, and the kgr or kt of the way they take."""
+    kgr, kt = world.material(hit.id, lambda m: (m.kgr, m.kt))
+    if not needs.transmission:
+        return None, kgr
+    if not needs.reflection:
+        return jnp.full(kt.shape, True), kt
+    straight = jnp.full(kt.shape, choice == 1) if needs.branching else lax.stop_gradient(kt) != 0
+    return straight, jnp.where(straight, kt, kgr)
+
+
+def goes_on(world: World, path: Path, needs: Needs, choice: Index) -> Mask:
+    """Which paths do not end at their present hit."""
+    alive = path.alive & (path.hit.id >= 0)
+    if needs.dark_paths:
+        return alive
+    part = lax.stop_gradient(path.weight * _turn(world, path.hit, needs, choice)[1])
+    return alive & (part != 0)
+
+
 def next_path(
     world: World,
     path: Path,
-    surface: Surface,
     needs: Needs,
     choice: Index,
+    surface: Surface | None = None,
 ) -> Path:
-    """The path mirrored in the surface, or straight on through it, with its weight.
+    """The path mirrored in what it hits, or straight on through that, with its weight.
 
     The ray straight on skips the object (a bubble without refraction); see `nearest`.
+
+    **Arguments:** `choice`: where an object both reflects and transmits, 0 to reflect. `surface`:
+    None for where the path's ray meets the object.
     """
-    kgr, kt = world.material(path.hit.id, lambda m: (m.kgr, m.kt))
-    if not needs.transmission:
-        straight, weight = None, kgr
-    elif not needs.reflection:
-        straight, weight = jnp.full(kt.shape, True), kt
-    elif needs.branching:
-        straight = jnp.full(kt.shape, choice == 1)
-        weight = jnp.where(straight, kt, kgr)
-    else:
-        straight = lax.stop_gradient(kt) != 0
-        weight = jnp.where(straight, kt, kgr)
-    weight = path.weight * weight
-    alive = path.alive & (path.hit.id >= 0)
-    if not needs.dark_paths:
-        alive = alive & (lax.stop_gradient(weight) != 0)
+    surface = surface_at(world, path.ray, path.hit, needs) if surface is None else surface
+    straight, part = _turn(world, path.hit, needs, choice)
+    weight, alive = path.weight * part, goes_on(world, path, needs, choice)
     direction = reflect(path.ray.direction, surface.normal)
     hit = path.hit
     if straight is not None:

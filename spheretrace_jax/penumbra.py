@@ -64,7 +64,7 @@ def unoccluded_part(
 
     def cut() -> Plane:
         anywhere = everything(jnp.ones_like(number, reach.dtype))
-        bright = fill(anywhere, number >= 0, outside, -(-count // GROUPS), EDGES * GROUPS)
+        bright = fill(anywhere, number >= 0, outside, -(-count // GROUPS))
         bright = [jax.tree.map(lambda x, k=k: x[k * count :][:count], bright) for k in range(EDGES)]
         area = common_area(*visible)
         some = (edges[0] >= 0) & (area > jnp.finfo(area.dtype).eps)

@@ -3,6 +3,7 @@
 Every trick here has its measured reason beside it (2 cores, AVX-512, 1024 x 1024 float32).
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
@@ -25,7 +26,7 @@ UNROLL = 16
 # For at most this many pixels rows of short tables are fetched one by one, too: selects are faster
 # for many, but there are a dozen of them for each number, and a third of what there is to compile
 # of covered edges was these.
-MOST_GATHERED = 1 << 12
+MOST_GATHERED = 1 << 13
 
 # In a strip of this many pixels the temporaries stay below 32 MB, above which the allocator maps
 # and unmaps memory at every call (20.7 against 11.8 ms); much smaller strips lose to overheads.
@@ -34,6 +35,10 @@ STRIP_PIXELS = 1 << 17
 # Sums over pixels are spread over this many bins per object before they are added up: neighbours
 # then do not wait for one another, and float32 keeps its digits.
 SUB_BINS = 16
+
+# Of more chunks than these it is found out group by group that there is nothing to do: each takes
+# some 2 us for every array that the reverse pass remembers (of 512 half a gradient's time).
+MOST_SKIPPED = 16
 
 # Rays that take different numbers of steps go on in chunks of a part of them, but of no fewer than
 # these.
@@ -247,42 +252,48 @@ def fill(
     marked: Bool[Array, " n"],
     work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
     size: int,
-    group: int,
 ) -> T:
-    """The values with those of the marked places replaced by `work`, only for as many as there are.
-
-    **Arguments:** `values`: a pytree of arrays of shape `(n,)`. `work`: from places, and which of
-    them count, to their values. `size`: how many places at a time. `group`: that many times it is
-    found out at once that there are no places left.
-    """
-    n = marked.size
-    groups = -(-n // (group * size))
-    total, place = nth_marked(marked)
-    numbers = jnp.arange(groups * group * size, dtype=jnp.int32).reshape(groups, group, size)
-
-    def some(number: Int[Array, " size"]) -> tuple[Int[Array, " size"], T]:
-        counts = number < total
-        places = jnp.where(counts, place(number), 0)
-        return jnp.where(counts, places, n), work(places, counts)
-
-    def none(number: Int[Array, " size"]) -> tuple[Int[Array, " size"], T]:
-        return jnp.full_like(number, n), jax.tree.map(lambda v: jnp.zeros(size, v.dtype), values)
-
-    def put(values: T, number: Int[Array, "group size"]) -> T:
-        places, new = lax.map(lambda k: lax.cond(k[0] < total, some, none, k), number)
-        add = lambda v, x: v.at[places.reshape(-1)].add(
-            x.reshape(-1), mode="drop", unique_indices=True
-        )
-        return jax.tree.map(add, values, new)
-
-    def put_any(values: T, number: Int[Array, "group size"]) -> tuple[T, None]:
-        skip = lambda values, _: values
-        return lax.cond(number[0, 0] < total, put, skip, values, number), None
-
-    # then added, not set, so that the reverse pass hands on the values' part untouched: to clear it
+    """The values with those of the marked places replaced by `work`, as `add_where` adds them."""
+    # added, not set, so that the reverse pass hands on the values' part untouched: to clear it
     # at every time, it copies all of them (for a gradient 260 ms, not 180)
     values = jax.tree.map(lambda v: jnp.where(marked, 0, v), values)
-    return put(values, numbers[0]) if groups == 1 else lax.scan(put_any, values, numbers)[0]
+    return add_where(values, marked, work, size)
+
+
+def add_where(
+    values: T,
+    marked: Bool[Array, " n"],
+    work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
+    size: int,
+) -> T:
+    """The values with those of `work` added at the marked places, only for as many as there are.
+
+    **Arguments:** `values`: a pytree of arrays of shape `(n, ...)`. `work`: from places, and which
+    of them count, to their values. `size`: how many places at a time.
+    """
+    n = marked.size
+    total, place = nth_marked(marked)
+
+    def put(values: T, number: Int[Array, " size"]) -> T:
+        counts = number < total
+        places = jnp.where(counts, place(number), 0)
+        new = work(places, counts)
+        at = jnp.where(counts, places, n)
+        add = lambda v, x: v.at[at].add(x, mode="drop", unique_indices=True)
+        return jax.tree.map(add, values, new)
+
+    def put_some(values: T, numbers: Int[Array, "... size"]) -> tuple[T, None]:
+        skip = lambda values, _: values
+        work = put if numbers.ndim == 1 else lambda v, x: lax.scan(put_some, v, x)[0]
+        return lax.cond(numbers.reshape(-1)[0] < total, work, skip, values, numbers), None
+
+    # of many chunks it is found out group by group that there are no places left
+    chunks = -(-n // size)
+    group = math.isqrt(chunks - 1) + 1 if chunks > MOST_SKIPPED else 1
+    shape = (size,) if group == 1 else (group, size)
+    count = -(-chunks // group)
+    numbers = jnp.arange(count * math.prod(shape), dtype=jnp.int32).reshape(count, *shape)
+    return lax.scan(put_some, values, numbers)[0]
 
 
 def until_done(

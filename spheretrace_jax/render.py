@@ -15,8 +15,8 @@ from .layers import layered
 from .lists import lists
 from .needs import Needs
 from .options import Options, options
-from .paths import radiance
 from .phases import STRIP_PIXELS, fill, retrace
+from .radiance import radiance
 from .scene import Scene
 from .sharding import everywhere, on_devices
 from .varying import pixel_beams
@@ -24,7 +24,7 @@ from .vec import Vec, zeros
 from .world import World, build_world
 
 # Pixels with edges are composed this many at a time, as few as keeps the overhead small.
-EDGE_PIXELS, GROUP = 1 << 11, 4
+EDGE_PIXELS = 1 << 11
 
 
 def render(
@@ -239,5 +239,5 @@ def _sample(
         return area_seen(scene, world, options, pixels, alive, left, top)
 
     flat = jax.tree.map(jnp.ravel, color)
-    flat = fill(flat, edge.reshape(-1), compose, min(EDGE_PIXELS, edge.size), GROUP)
+    flat = fill(flat, edge.reshape(-1), compose, min(EDGE_PIXELS, edge.size))
     return jax.tree.map(lambda x: x.reshape(edge.shape), flat), edge

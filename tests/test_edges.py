@@ -101,9 +101,9 @@ def test_forward_reverse_and_differences_agree():
 
 def everywhere(monkeypatch, scene: st.Scene, **settings) -> np.ndarray:
     """The picture with every pixel composed of layers."""
-    paths, render = (sys.modules[f"spheretrace_jax.{name}"] for name in ("paths", "render"))
+    radiance, render = (sys.modules[f"spheretrace_jax.{name}"] for name in ("radiance", "render"))
     all_ = lambda world, lights, ray, *_: jnp.full(ray.direction.x.shape, True)
-    monkeypatch.setattr(paths, "near_edge", all_)
+    monkeypatch.setattr(radiance, "near_edge", all_)
     jax.clear_caches()
     draw = eqx.filter_jit(render.draw.__wrapped__)
     return np.asarray(draw(scene, render.options(scene, **settings)))

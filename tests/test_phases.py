@@ -73,8 +73,8 @@ def test_the_places_of_the_marked_are_those_that_numpy_finds(n, density):
 
 
 @pytest.mark.parametrize("density", [0, 0.02, 0.4, 1])
-@pytest.mark.parametrize(("n", "size", "group"), [(1000, 16, 4), (1000, 250, 4), (7, 7, 1)])
-def test_filling_replaces_the_marked_and_only_works_for_them(n, size, group, density):
+@pytest.mark.parametrize(("n", "size"), [(1000, 16), (1000, 250), (7, 7)])
+def test_filling_replaces_the_marked_and_only_works_for_them(n, size, density):
     rng = np.random.default_rng(n)
     marked = jnp.asarray(rng.uniform(size=n) < density)
     x, y, z = jnp.asarray(rng.standard_normal((3, n)))
@@ -84,7 +84,7 @@ def test_filling_replaces_the_marked_and_only_works_for_them(n, size, group, den
         jax.debug.callback(lambda c: worked.append(int(c.sum())), counts)
         return jnp.sin(x[places]) * z[places]
 
-    filled = fill(y, marked, work, size, group)
+    filled = fill(y, marked, work, size)
     jax.effects_barrier()
     np.testing.assert_allclose(filled, jnp.where(marked, jnp.sin(x) * z, y), rtol=1e-15)
     assert sum(worked) == marked.sum()
@@ -95,7 +95,7 @@ def test_filling_has_the_derivatives_of_a_selection():
     n = 50
     marked = jnp.arange(n) % 3 == 0
     x, weights = jnp.linspace(0.0, 2, n), jnp.cos(jnp.linspace(0.0, 50, n))
-    ours = lambda x: weights @ fill(x**3, marked, lambda places, _: jnp.sin(x[places]), 8, 2)
+    ours = lambda x: weights @ fill(x**3, marked, lambda places, _: jnp.sin(x[places]), 8)
     plain = lambda x: weights @ jnp.where(marked, jnp.sin(x), x**3)
     np.testing.assert_allclose(jax.grad(ours)(x), jax.grad(plain)(x), rtol=1e-14)
     along = jnp.ones(n)

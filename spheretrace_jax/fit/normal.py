@@ -5,7 +5,6 @@ the camera, whatever the number of spheres. They are summed object by object. On
 several, at edges and in mirrors, have columns for every object.
 """
 
-import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -199,8 +198,6 @@ def _add_single(normal: Normal, picture: _Picture) -> Normal:
     """Adds the pixels that show one object each, object by object."""
     world, layout, options = picture.world, picture.layout, picture.options
     tables, objects = Own(world.balls, world.materials), world.spheres + world.planes
-    # their paths end where they begin
-    options_ = dataclasses.replace(options, bounces=0)
 
     def object_(number: Int[Array, ""], normal: Normal) -> Normal:
         own = jax.tree.map(lambda t: t[jnp.minimum(number, len(t) - 1)][None], tables)
@@ -210,7 +207,7 @@ def _add_single(normal: Normal, picture: _Picture) -> Normal:
             ray = rays_through(scene, options, pixels, *at)
             hit = hit_of(world, ray, jnp.broadcast_to(id_, pixels.shape), options.needs)
             path = Path(ray, hit, jnp.ones(pixels.shape, scene.dtype), alive, None)
-            return shade(scene, world, path, options_)[0]
+            return shade(scene, world, path, options)
 
         def look(pixels: Ids, alive: Mask) -> Seen:
             see = partial(picture.near, surface, pixels=pixels, alive=alive)

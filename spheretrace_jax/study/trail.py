@@ -8,11 +8,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..camera import Ray
 from ..options import Options
-from ..paths import Path, shade
+from ..paths import Path, next_path, shade
 from ..render import rays_through
 from ..scene import Scene
 from ..shading import HIGHLIGHTS, lambert, power, toward_light
-from ..vec import Vec, parts, vec
+from ..vec import parts, vec
 from ..visibility import nearest, unoccluded
 from ..world import World, build_world, surface_at
 
@@ -60,18 +60,16 @@ def trail(
     start = Path(ray, hit, one, one > 0, None)
 
     def bounce(path: Path, _: None) -> tuple[Path, Stop]:
-        color, on = shade(scene, world, path, options, choice)
-        stop = _stop(scene, world, path, color, options)
+        stop = _stop(scene, world, path, options)
+        on = next_path(world, path, needs, choice)
         return eqx.tree_at(lambda p: p.hit, on, nearest(world, on.ray, needs, on.hit)), stop
 
     if not options.bounces:
-        color = shade(scene, world, start, options)
-        stop = _stop(scene, world, start, color[0], options)
-        return jax.tree.map(lambda x: x[None], stop)
+        return jax.tree.map(lambda x: x[None], _stop(scene, world, start, options))
     return lax.scan(bounce, start, None, options.bounces + 1)[1]
 
 
-def _stop(scene: Scene, world: World, path: Path, color: Vec, options: Options) -> Stop:
+def _stop(scene: Scene, world: World, path: Path, options: Options) -> Stop:
     ray, hit, needs = path.ray, path.hit, options.needs
     surface = surface_at(world, ray, hit, needs)
     ks, exponent = world.material(hit.id, lambda m: (m.ks, m.exponent))
@@ -97,7 +95,7 @@ def _stop(scene: Scene, world: World, path: Path, color: Vec, options: Options) 
         facing=surface.facing,
         steep=grown / jnp.where(shine > 0, shine, 1),
         shine=shine * path.weight,
-        color=rows(color),
+        color=rows(shade(scene, world, path, options)),
         origin=rows(ray.origin),
         direction=rows(ray.direction),
         point=rows(surface.point),
