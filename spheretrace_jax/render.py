@@ -1,6 +1,5 @@
 """From a scene to a picture: strips of pixels, samples per pixel, edges."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -15,7 +14,7 @@ from .layers import layered
 from .lists import lists
 from .needs import Needs
 from .options import Options, options
-from .phases import STRIP_PIXELS, fill, retrace
+from .phases import STRIP_PIXELS, compiled, fill, retrace
 from .radiance import radiance
 from .scene import Scene
 from .sharding import everywhere, on_devices
@@ -72,7 +71,7 @@ def render(
     return draw(everywhere(scene, checked.sharding), checked)
 
 
-@eqx.filter_jit
+@compiled
 def draw(scene: Scene, options: Options) -> Picture:
     """`render` with its static arguments already checked."""
     if options.sharding is None:

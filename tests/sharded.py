@@ -46,8 +46,8 @@ def work(sharding: NamedSharding | None) -> Results:
 
     def needed(sharding: NamedSharding | None) -> np.ndarray:
         size = 8 * DEVICES
-        program = draw.lower(scene, options(scene, size, size, sharding=sharding)).compile()
-        compiled: Any = program.compiled
+        settings = options(scene, size, size, sharding=sharding)
+        compiled: Any = eqx.filter_jit(draw).lower(scene, settings).compile().compiled
         memory = compiled.memory_analysis().temp_size_in_bytes
         return np.array([compiled.cost_analysis()["flops"], memory])
 

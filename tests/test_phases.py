@@ -5,6 +5,8 @@ import pytest
 
 from spheretrace_jax.phases import (
     UNROLL,
+    compiled,
+    compiler_options,
     fetch,
     fill,
     materialise,
@@ -122,3 +124,29 @@ def test_rays_go_on_until_they_are_done_and_no_further(n):
     steps, double = until_done(step, alive, goal, start)
     np.testing.assert_array_equal(steps, goal)
     np.testing.assert_array_equal(double, 2 * goal.astype(float))
+
+
+def test_a_compiled_function_works_alone_and_inside_others():
+    traces = []
+
+    @compiled
+    def double(x, *, times=2):
+        traces.append(times)
+        return times * x
+
+    x = jnp.array([1.0, 2.0])
+    constant = lambda y: y + double(x)  # its arguments are known, though it is traced
+    assert double(x).tolist() == jax.vmap(double)(x).tolist() == [2, 4]
+    assert jax.jit(double)(x).tolist() == [2, 4]
+    assert jax.jit(constant)(x).tolist() == [3, 6]
+    assert jax.grad(lambda x: double(x).sum())(x).tolist() == [2, 2]
+    assert jax.jit(jax.grad(lambda x: double(x).sum()))(x).tolist() == [2, 2]
+    before = len(traces)
+    double(2 * x), double(3 * x)
+    assert len(traces) == before
+
+
+def test_what_the_compiler_is_told_is_known_to_it():
+    options = compiler_options()
+    assert (jax.default_backend() != "cpu") or options
+    assert jax.jit(jnp.sin, compiler_options=options)(0.0) == 0

@@ -35,7 +35,9 @@ def test_row_by_row_is_the_same_as_all_at_once(name, monkeypatch):
     jax.clear_caches()
     by_rows = differentiated(SCENES[name])
     for ours, theirs in zip(jax.tree.leaves(by_rows), jax.tree.leaves(at_once), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-12 * np.abs(theirs).max(initial=0))
+        np.testing.assert_allclose(
+            ours, theirs, rtol=1e-11, atol=1e-12 * np.abs(theirs).max(initial=0)
+        )
 
 
 def test_only_rows_that_go_on_are_followed(monkeypatch):

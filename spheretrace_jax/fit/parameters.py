@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..errors import InputError
+from ..phases import compiled
 from ..scene import Scene
 from .chart import Chart, chart_at
 
@@ -165,7 +166,7 @@ class Parameters(eqx.Module):
         return least, most
 
 
-@eqx.filter_jit
+@compiled
 def _charts(scene: Scene) -> Chart:
     middle, size = extent(scene)
     return jax.vmap(chart_at, (0, None, None))(scene.lights.position, middle, size)

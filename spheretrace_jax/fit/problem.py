@@ -15,6 +15,7 @@ from .._types import Highlight, Picture
 from ..errors import InputError
 from ..needs import needs
 from ..options import Options, options as render_options
+from ..phases import compiled
 from ..render import draw_everywhere
 from ..scene import Scene
 from ..sharding import everywhere, gathered, on_devices
@@ -162,7 +163,7 @@ class Problem(eqx.Module):
         return jax.jacfwd(natural)(y)
 
 
-@eqx.filter_jit
+@compiled
 def normal_at(problem: Problem, values: PyTree) -> Normal:
     """`Problem.normal`, compiled: for all that asks for it on the host."""
     return problem.normal(values)
@@ -250,7 +251,7 @@ def make_problem(
     return Problem(parameters, tuple(targets), tuple(options), lists, own_names)
 
 
-@eqx.filter_jit
+@compiled
 def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> Lists:
     layout = Layout(scene, free)
     if options.sharding is None:

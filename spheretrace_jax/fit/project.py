@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from .._types import Ids, Index
 from ..options import Options
 from ..paths import light_terms_at
+from ..phases import compiled
 from ..render import rays_through
 from ..scene import Scene
 from ..vec import vec
@@ -131,7 +132,7 @@ def _known(scene: Scene, free: tuple[str, ...]) -> Materials:
     return jnp.concatenate([jnp.full_like(x, jnp.nan) if n & {*free} else x for x, n in parts], 1)
 
 
-@eqx.filter_jit
+@compiled
 def _first_hits(scene: Scene, options: Options, pixels: Ids) -> Ids:
     half = jnp.asarray(0.5, scene.dtype)
     ray = rays_through(scene, options, pixels, half, half)
@@ -152,7 +153,7 @@ def terms_at(look: Look, positions: Float[Array, "lights 3"]) -> Terms:
     return lax.map(one, positions)
 
 
-@eqx.filter_jit
+@compiled
 def moved(look: Look, lights: Float[Array, "lights 3"]) -> Float[Array, "lights 3"]:
     """The lights from which the picture is nearest to the target, as far as steps downhill lead."""
     scene = eqx.tree_at(lambda s: s.lights.position, look.scene, lights)
@@ -198,7 +199,7 @@ def scene_with(look: Look, free: tuple[str, ...], lights: Float[Array, "lights 3
     return eqx.tree_at(places, scene, [jnp.asarray(value, scene.dtype) for value in values])
 
 
-@eqx.filter_jit
+@compiled
 def _materials(look: Look, terms: Terms) -> Materials:
     return look.materials(look.sums(terms))
 
@@ -208,7 +209,7 @@ def tried(look: Look, positions: Float[np.ndarray, "lights 3"]) -> Terms:
     return _in_blocks(partial(_terms, look), jnp.asarray(positions, look.scene.dtype))
 
 
-@eqx.filter_jit
+@compiled
 def _terms(look: Look, positions: Float[Array, "lights 3"]) -> Terms:
     return terms_at(look, positions)
 
@@ -218,7 +219,7 @@ def costs(look: Look, terms: Terms, candidates: Float[Array, "c 2 pixels"], k: i
     return np.asarray(_in_blocks(partial(_costs, look, terms, jnp.asarray(k)), candidates))
 
 
-@eqx.filter_jit
+@compiled
 def _costs(
     look: Look, terms: Terms, k: Index, candidates: Float[Array, "c 2 pixels"]
 ) -> Float[Array, " c"]:

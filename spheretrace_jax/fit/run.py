@@ -11,6 +11,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree, Scalar
 
+from ..phases import compiled
 from .normal import Normal
 from .problem import Problem, compress, compressed_residual, normal_at
 
@@ -49,17 +50,17 @@ def _full(values: PyTree, problem: Problem) -> tuple[Float[Array, " numbers"], N
     return problem.residual(values), None
 
 
-@eqx.filter_jit
+@compiled
 def _point(normal: Normal, values: PyTree) -> _Point:
     return _Point(ravel_pytree(values)[0], *compress(normal))
 
 
-@eqx.filter_jit
+@compiled
 def _placed(problem: Problem, values: PyTree) -> list[Any]:
     return [scene for scene, _ in problem.place(values)]
 
 
-@eqx.filter_jit
+@compiled
 def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
     shape, _ = jax.eval_shape(fn, values, args)
     return solver.init(fn, values, args, _options(fn), shape, None, frozenset())
@@ -70,7 +71,7 @@ def _options(fn: Callable) -> dict[str, str]:
     return {"jac": "bwd"} if fn is _linear else {}
 
 
-@eqx.filter_jit
+@compiled
 def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> tuple:
     """The best values so far, their cost, the state, and how far the next look is."""
     values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())

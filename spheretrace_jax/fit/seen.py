@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 
 from ..options import Options
+from ..phases import compiled
 from ..render import rays_through, sample_places
 from ..scene import Scene
 from ..shading import lambert, toward_light
@@ -89,7 +90,7 @@ class Point:
         return np.concatenate([np.ravel(part) for part in parts])
 
 
-@eqx.filter_jit
+@compiled
 def _shown(scene: Scene, options: Options, weight: Float[Array, "height width 3"]) -> Shown:
     world, needs = build_world(scene), options.needs
     pixels = jnp.arange(options.width * options.height, dtype=jnp.int32)

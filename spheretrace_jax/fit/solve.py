@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._types import Highlight
 from ..errors import InputError, SceneWarning
+from ..phases import compiled
 from ..scene import Scene
 from .bounded import BoundedLevenbergMarquardt
 from .gauge import GAUGES, Gauge, settle
@@ -262,12 +263,12 @@ def _projects(problem: Problem) -> bool:
     return known and plain and square and len(parameters.scene.spheres) > 0
 
 
-@eqx.filter_jit
+@compiled
 def _begin(problem: Problem) -> tuple[PyTree, tuple[PyTree, PyTree]]:
     return problem.start(), problem.bounds()
 
 
-@eqx.filter_jit
+@compiled
 def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, list]:
     values = settle(problem, values, gauge)
     return values, problem.place(values)

@@ -16,6 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
+from ..phases import compiled
 from .normal import Normal
 from .parameters import extent
 from .problem import Problem, normal_at
@@ -253,6 +254,6 @@ def _in_float64(
         return _in_float64(problem, values, normal_at(problem, values))
 
 
-@eqx.filter_jit
+@compiled
 def _slopes(problem: Problem, values: PyTree) -> list[Float[Array, "_ free"]]:
     return [problem.slope(values, k) for k in range(len(problem.parameters))]

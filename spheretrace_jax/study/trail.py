@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..camera import Ray
 from ..options import Options
 from ..paths import Path, next_path, shade
+from ..phases import compiled
 from ..render import rays_through
 from ..scene import Scene
 from ..shading import HIGHLIGHTS, lambert, power, toward_light
@@ -37,7 +38,7 @@ class Stop(eqx.Module):
     point: Float[Array, "*bounces pixels 3"]  #: where it meets the object
 
 
-@eqx.filter_jit
+@compiled
 def trail(
     scene: Scene,
     options: Options,

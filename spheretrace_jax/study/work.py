@@ -14,6 +14,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..phases import compiler_options
+
 
 @dataclasses.dataclass(frozen=True)
 class Point:
@@ -56,7 +58,8 @@ class Program:
 
     def __init__(self, function: Callable, *arguments: Any):
         began = time.perf_counter()
-        self._run = jax.jit(function).lower(*arguments).compile()
+        jitted = jax.jit(function, compiler_options=compiler_options())
+        self._run = jitted.lower(*arguments).compile()
         self.compile_seconds = time.perf_counter() - began
         self._arguments = arguments
         analysis = self._run.memory_analysis()  # None on some devices

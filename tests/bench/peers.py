@@ -1,19 +1,15 @@
 """The programs that a user would otherwise pick, drawing our scenes: POV-Ray and Mitsuba 3."""
 
-import itertools
-import multiprocessing
 import re
 import shutil
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import spheretrace_jax as st
-from spheretrace_jax.study.mitsuba import LIGHT, mitsuba as found_mitsuba, mitsuba_scene
+from spheretrace_jax.study.mitsuba import LIGHT, mitsuba as found_mitsuba
 
 
 def povray_seconds(scene: st.Scene, size: int, bounces: int) -> float:
@@ -37,51 +33,8 @@ def mitsuba() -> tuple[Any, Any] | None:
         return None
 
 
-class MitsubaApart:
-    """Mitsuba in a process of its own.
-
-    In one process its threads, which wait for work by spinning, slow the other program down: our
-    picture took 15.8 ms beside it and 9.8 alone.
-    """
-
-    def __init__(self):
-        """**Raises:** `ImportError` where Mitsuba is missing."""
-        context = multiprocessing.get_context("spawn")
-        self.process = ProcessPoolExecutor(max_workers=1, mp_context=context)
-        self.process.submit(_there).result()
-        self.numbers = itertools.count()
-
-    def does(self, work: Callable, scene: st.Scene, size: int, *how: Any) -> Callable[[], float]:
-        """Some work, which says its own seconds. **Arguments:** `how`: the work's further ones."""
-        number = next(self.numbers)
-        self.process.submit(_prepare, number, work, scene, size, *how).result()
-        return lambda: self.process.submit(_seconds, number).result()
-
-
-def _there() -> None:
-    found_mitsuba()
-
-
-_WORKS: dict[int, Callable[[], None]] = {}
-"""What Mitsuba's process has prepared."""
-
-
-def _prepare(number: int, work: Callable, scene: st.Scene, size: int, *how: Any) -> None:
-    mi, dr = found_mitsuba()
-    _WORKS[number] = work(mi, dr, scene, size, *how)
-
-
-def _seconds(number: int) -> float:
-    start = time.perf_counter()
-    _WORKS[number]()
-    return time.perf_counter() - start
-
-
-def mitsuba_picture(
-    mi: Any, dr: Any, scene: st.Scene, size: int, balls: str = "sphere"
-) -> Callable[[], None]:
-    """Draws a picture with one sample per pixel. **Arguments:** `balls`: as `mitsuba_scene`."""
-    world = mitsuba_scene(mi, scene, size, balls)
+def mitsuba_picture(mi: Any, dr: Any, world: Any) -> Callable[[], None]:
+    """Draws a picture with one sample per pixel."""
 
     def draw() -> None:
         dr.eval(mi.render(world, spp=1, seed=0))
@@ -91,14 +44,14 @@ def mitsuba_picture(
 
 
 def mitsuba_gradient(
-    mi: Any, dr: Any, scene: st.Scene, size: int, integrator: str, geometry: bool
+    mi: Any, dr: Any, world: Any, integrator: str, geometry: bool
 ) -> Callable[[], None]:
     """The gradient of the mean of (picture - 0.3)^2 by reflectances and the light's position.
 
     **Arguments:** `integrator`: `"direct"`, `"prb"`, or `"direct_projective"`, which sees edges.
     `geometry`: by the spheres' places, too.
     """
-    world, by = mitsuba_scene(mi, scene, size), mi.load_dict({"type": integrator})
+    by = mi.load_dict({"type": integrator})
     parameters = mi.traverse(world)
     wanted = ("reflectance.value", *(("to_world",) if geometry else ()))
     names = [name for name in parameters.keys() if name.endswith(wanted)]

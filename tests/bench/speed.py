@@ -17,12 +17,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from fit import nine_spheres
-from peers import MitsubaApart, mitsuba_gradient, mitsuba_picture, povray_seconds
+from peers import mitsuba, mitsuba_gradient, mitsuba_picture, povray_seconds
 from rich.console import Console
 from rich.table import Table
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.problem import make_problem, normal_at
+from spheretrace_jax.phases import compiler_options
+from spheretrace_jax.study.mitsuba import mitsuba_scene
 
 SIZE, MANY_SIZE, RUNS, SECONDS = 1024, 512, 9, 6.0
 
@@ -68,7 +70,7 @@ def gradient(scene: st.Scene, places: dict[str, Callable], size: int, **settings
     at = lambda s: [place(s) for place in places.values()]
     needs = st.needs(scene)
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=compiler_options())
     def slope(scene: st.Scene, values: list) -> list:
         def loss(values: list) -> Any:
             moved = eqx.tree_at(at, scene, values)
@@ -94,14 +96,14 @@ def normal_equations(scene: st.Scene, size: int) -> Work:
     return lambda: normal_at(problem, values)
 
 
-def rows(many: list[int], peer: MitsubaApart | None) -> Iterator[Row]:
-    scene = shadowed_spheres()
+def rows(many: list[int]) -> Iterator[Row]:
+    scene, peer = shadowed_spheres(), mitsuba()
     pov = lambda scene, size, bounces: {"POV-Ray": partial(povray_seconds, scene, size, bounces)}
     matt = eqx.tree_at(lambda s: (s.spheres.ks, s.spheres.kgr), scene, replace_fn=jnp.zeros_like)
 
     def mitsuba_does(name: str, do: Callable, *how: Any) -> dict[str, Work]:
         """The same of matt spheres by Mitsuba, if there is one."""
-        return {} if peer is None else {name: peer.does(do, matt, SIZE, *how)}
+        return {} if peer is None else {name: do(*peer, mitsuba_scene(peer[0], matt, SIZE), *how)}
 
     draw = picture(scene, SIZE, bounces=0)
     peers = mitsuba_does("Mitsuba", mitsuba_picture) | pov(scene, SIZE, 0)
@@ -125,18 +127,10 @@ def rows(many: list[int], peer: MitsubaApart | None) -> Iterator[Row]:
         cloud = random_spheres(count)
         peers = pov(cloud, MANY_SIZE, 0) if count <= 100_000 else {}
         if peer is not None:
-            draws = peer.does(mitsuba_picture, cloud, MANY_SIZE, "ellipsoids")
-            peers = {"Mitsuba ellipsoids": draws} | peers
+            world = mitsuba_scene(peer[0], cloud, MANY_SIZE, "ellipsoids")
+            peers = {"Mitsuba ellipsoids": mitsuba_picture(*peer, world)} | peers
         bound = 1.2 if count <= 10_000 else 3.0
         yield f"{count:,} spheres, {MANY_SIZE}x{MANY_SIZE}", picture(cloud, MANY_SIZE), peers, bound
-
-
-def mitsuba_apart() -> MitsubaApart | None:
-    try:
-        return MitsubaApart()
-    except ImportError as error:
-        print(f"Mitsuba is left out: {error}")
-        return None
 
 
 def timed(work: Work) -> float:
@@ -147,8 +141,15 @@ def timed(work: Work) -> float:
 
 
 def settled(work: Work) -> float:
-    """Seconds of the third run in a row: what ran before has left the caches to this one."""
-    return [timed(work) for _ in range(3)][-1]
+    """Seconds of a run in a row of them.
+
+    After others have run, the system may leave a program's threads on one core for some runs: the
+    picture then takes 14 ms and not 8.
+    """
+    runs, began = [], time.perf_counter()
+    while len(runs) < 3 or time.perf_counter() - began < 0.2:
+        runs.append(timed(work))
+    return statistics.median(runs[len(runs) // 2 :])
 
 
 def measured(work: Work, peers: dict[str, Work]) -> tuple[float, list[float]]:
@@ -170,7 +171,7 @@ def main() -> None:
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", st.SceneWarning)
     table = Table("work", "first call", "ours", "peer", "peer's", "ratio", "wanted")
-    for name, work, peers, bound in rows(arguments.many, mitsuba_apart()):
+    for name, work, peers, bound in rows(arguments.many):
         if arguments.only not in name:
             continue
         first, (ours, *others) = measured(work, peers)
