@@ -33,12 +33,12 @@ def strays(problem: Problem, values: PyTree, cost: float) -> list[Bool[np.ndarra
     (docs/edges.md), and said to be that. **Arguments:** `cost`: what is known to be left.
     """
     found = []
-    placed = zip(problem.place(values), problem.targets, problem.options, strict=True)
-    for (scene, exposure), target, options in placed:
+    for k, (target, options) in enumerate(zip(problem.targets, problem.options, strict=True)):
         # no number is further off than all of them
         if options.antialias or np.sqrt(2 * cost) <= _least(target):
             found.append(np.zeros(target.image.shape, bool))
         else:
+            scene, exposure = problem.place(values)[k]
             found.append(_far(target, draw_everywhere(scene, options), exposure))
     return found
 
