@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from ._types import Index, Mask, Plane
+from ._types import Index, Mask, Plane, Scalar
 from .appearance import background, light_sums, local_color
 from .camera import Ray
 from .edges import Cone, onward
@@ -54,11 +54,18 @@ def shade(scene: Scene, world: World, path: Path, options: Options) -> Vec:
 
 
 def light_terms_at(
-    world: World, ray: Ray, hit: Hit, options: Options, light: Vec, shadows: bool
+    world: World,
+    ray: Ray,
+    hit: Hit,
+    options: Options,
+    light: Vec,
+    shadows: bool,
+    exponent: Scalar | None = None,
 ) -> tuple[Plane, Plane]:
     """N.L and the highlight of one light where rays meet objects, 0 where it does not reach.
 
-    **Arguments:** `shadows`: whether objects may stand in its way.
+    **Arguments:** `shadows`: whether objects may stand in its way. `exponent`: None for that of
+    the objects.
     """
     needs = options.needs
     highlight = options.highlight if needs.highlights else None
@@ -73,8 +80,8 @@ def light_terms_at(
 
     def terms() -> tuple[Plane, Plane]:
         surface = surface_at(world, ray, hit, needs)
-        exponent = world.material(hit.id, lambda m: m.exponent)
-        return light_terms(surface, ray.direction, light, exponent, lit, highlight)
+        n = world.material(hit.id, lambda m: m.exponent) if exponent is None else exponent
+        return light_terms(surface, ray.direction, light, n, lit, highlight)
 
     return materialise_pair(terms, world.window) if highlight else terms()
 

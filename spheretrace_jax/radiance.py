@@ -88,11 +88,12 @@ def _further(
     Of a picture's paths half may go on, and fewer meet anything then: only these are followed, and
     only those shaded (a gradient of three bounces takes 70 ms, not 150).
     """
-    needs, shape = options.needs, edge.shape
-    side = math.gcd(edge.size, SIDE)
-    rows = lambda x: jnp.broadcast_to(x, shape).reshape(-1, side)
-    first, color, edge = jax.tree.map(rows, (first, color, edge))
-    add = _add_all if edge.size <= CHUNK or world.own is not None else _add_rows
+    needs, shape, add, laid = options.needs, edge.shape, _add_all, edge.shape
+    # in a fit's Jacobian pixels have tables and lights of their own; they are few
+    if edge.size > CHUNK and world.own is None:
+        add, laid = _add_rows, (-1, math.gcd(edge.size, SIDE))
+    place = lambda x: jnp.broadcast_to(x, shape).reshape(laid)
+    first, color, edge = jax.tree.map(place, (first, color, edge))
 
     on = materialise(lambda: goes_on(world, first, needs, choices & 1), world.window)
     hits, edges = remember(_follow(scene, world, first, on, options, choices, add))
@@ -132,9 +133,9 @@ class _Found(eqx.Module):
     """What is found of paths at a bounce, as numbers that are 0 where they are not followed."""
 
     id: Ids  #: one more than the number of the object hit
-    inside: Int8[Array, "rows side"]
-    on: Int8[Array, "rows side"]  #: whether the path goes on
-    edge: Int8[Array, "rows side"]  #: whether an edge may run through the pixel
+    inside: Int8[Array, "*pixels"]
+    on: Int8[Array, "*pixels"]  #: whether the path goes on
+    edge: Int8[Array, "*pixels"]  #: whether an edge may run through the pixel
 
 
 def _follow(
@@ -152,8 +153,8 @@ def _follow(
 
     **Arguments:** `on`: which paths go on. `add`: how to work on these only.
 
-    **Returns:** the hits, of shape `(rows, bounces, side)`, and whether an edge may run through the
-    pixel at the first of them.
+    **Returns:** the hits, with an axis for the bounces after the first one, and whether an edge may
+    run through the pixel at the first bounce.
     """
     needs, lights = options.needs, scene.lights.position
     world, first, lights = lax.stop_gradient((world, first, lights))
@@ -181,7 +182,7 @@ def _follow(
         return (hits, new.on > 0, edge | (new.edge > 0)), None
 
     count = options.bounces + 1
-    room = lambda x: jnp.zeros((len(x), count, x.shape[1]), x.dtype).at[:, 0].set(x)
+    room = lambda x: jnp.zeros((len(x), count, *x.shape[1:]), x.dtype).at[:, 0].set(x)
     start = jax.tree.map(room, first.hit), on, jnp.full(on.shape, False)
     (hits, _, edge), _ = lax.scan(bounce, start, jnp.arange(1, count, dtype=jnp.int32))
     return jax.tree.map(lambda x: x[:, 1:], hits), edge

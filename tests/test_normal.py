@@ -16,6 +16,12 @@ SHADOWED = (100.0, 900, 300)
 
 CASES = {
     "one ray": (nine_spheres(SHADOWED), SHADED, {}, {}),
+    "all of the shading, a channel left out here and there": (
+        SCENES["two_coloured_lights"],
+        (*SHADED, "exponent", "kgr", "light_color"),
+        {},
+        dict(loss="cauchy", weights=np.random.default_rng(1).uniform(0, 2, (20, 24, 3))),
+    ),
     "samples, exposure, weights and outliers": (
         SCENES["two_coloured_lights"],
         (*SHADED, "exponent", "light_color", "exposure"),
@@ -23,7 +29,11 @@ CASES = {
         dict(loss="cauchy", weights=np.random.default_rng(1).uniform(0, 2, (20, 24, 3))),
     ),
 }
+UNCHECKED = eqx.tree_at(
+    lambda s: s.planes.checker_size, SCENES["planes"], replace_fn=jnp.zeros_like
+)
 SLOW = {
+    "a plane without squares": (UNCHECKED, ("ks", "kd", "exponent", "light_position"), {}, {}),
     "bubbles and mirrors": (
         SCENES["glass"],
         ("color", "kgr", "kt", "light_color", "theta", "mu"),

@@ -7,7 +7,7 @@ several, at edges and in mirrors, have columns for every object.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -36,8 +36,11 @@ from ..visibility import hit_of
 from ..world import Own, World, build_world
 from .layout import Layout
 from .lists import EDGE, MOST, SEVERAL, STILL, Lists, sorted_pixels
+from .moments import Moments, Shading, by_moments, moments
 from .rows import Seen, seen_and_rows
 from .target import Target
+
+T = TypeVar("T")
 
 # Of pixels that show several objects so many are looked at at once that their part of the Jacobian
 # has at most so many numbers, 12 MB in float64.
@@ -143,17 +146,8 @@ class _Picture(eqx.Module):
         **Arguments:** `columns`: which of the free parameters the rows are of; out of bounds: none.
         `look`: for some pixels, of which some count.
         """
-        begin, end = self.lists.bounds(label)
-        numbers = jnp.arange(count, dtype=jnp.int32)
-        image, weight = (x.reshape(-1, 3) for x in (self.target.image, self.target.weight))
 
-        def some(k: Index, normal: Normal) -> Normal:
-            first = begin + k * count
-            alive = first + numbers < end
-            pixels = lax.dynamic_slice(self.lists.order, (first,), (count,))
-            take = lambda list_: list_.at[pixels].get(mode="promise_in_bounds")
-            counted = jnp.where(alive[:, None], take(weight), 0)
-            target = Target(take(image)[None], counted[None], self.target.noise, self.target.loss)
+        def some(normal: Normal, pixels: Ids, alive: Mask, target: Target) -> Normal:
             seen, rows = look(pixels, alive)
             residual = target.residual(seen.T[None], self.exposure)[0].T
             by_picture, by_exposure = target.slopes(seen.T[None], self.exposure)
@@ -171,7 +165,30 @@ class _Picture(eqx.Module):
                 normal.cost + products[-1, -1] / 2,
             )
 
-        return lax.fori_loop(0, -((begin - end) // count), some, normal)
+        return self.over(label, some, normal, count)
+
+    def over(
+        self, label: Index, some: Callable[[T, Ids, Mask, Target], T], start: T, count: int
+    ) -> T:
+        """What a loop over a list's pixels comes to, `count` at a time.
+
+        **Arguments:** `some`: from what it came to so far, pixels, which of them count, and their
+        part of the target, of shape `(1, count, 3)`.
+        """
+        begin, end = self.lists.bounds(label)
+        numbers = jnp.arange(count, dtype=jnp.int32)
+        image, weight = (x.reshape(-1, 3) for x in (self.target.image, self.target.weight))
+
+        def body(k: Index, state: T) -> T:
+            first = begin + k * count
+            alive = first + numbers < end
+            pixels = lax.dynamic_slice(self.lists.order, (first,), (count,))
+            take = lambda list_: list_.at[pixels].get(mode="promise_in_bounds")
+            counted = jnp.where(alive[:, None], take(weight), 0)
+            target = Target(take(image)[None], counted[None], self.target.noise, self.target.loss)
+            return some(state, pixels, alive, target)
+
+        return lax.fori_loop(0, -((begin - end) // count), body, start)
 
 
 def _add_still(normal: Normal, picture: _Picture) -> Normal:
@@ -197,6 +214,8 @@ def _add_still(normal: Normal, picture: _Picture) -> Normal:
 def _add_single(normal: Normal, picture: _Picture) -> Normal:
     """Adds the pixels that show one object each, object by object."""
     world, layout, options = picture.world, picture.layout, picture.options
+    if by_moments(layout, options, len(picture.scene.lights)):
+        return _add_moments(normal, picture)
     tables, objects = Own(world.balls, world.materials), world.spheres + world.planes
 
     def object_(number: Int[Array, ""], normal: Normal) -> Normal:
@@ -216,6 +235,34 @@ def _add_single(normal: Normal, picture: _Picture) -> Normal:
         return picture.add(normal, number, jnp.asarray(layout.each)[number], look, MOST)
 
     return lax.fori_loop(0, len(layout.each), object_, normal)
+
+
+def _add_moments(normal: Normal, picture: _Picture) -> Normal:
+    """The same where moments of the shading do: 14 ms for a million pixels, not 24."""
+    scene, world, layout = picture.scene, picture.world, picture.layout
+
+    def object_(number: Int[Array, ""], normal: Normal) -> Normal:
+        shading = Shading(scene, world, number, picture.options, layout)
+
+        def some(sums: Moments, pixels: Ids, alive: Mask, target: Target) -> Moments:
+            basis = shading.basis(pixels)
+            seen = shading.seen(basis).T[None]
+            residual = target.residual(seen, picture.exposure)[0].T
+            by_picture, _ = target.slopes(seen, picture.exposure)
+            return sums + moments(basis, by_picture[0].T, residual)
+
+        size = shading.size + 1
+        sums = picture.over(number, some, jnp.zeros((3, size, size), scene.dtype), MOST)
+        square, by_residual, cost = shading.by_columns(sums)
+        columns = jnp.asarray(layout.each)[number]
+        at = columns[:, None], columns[None, :]
+        return Normal(
+            normal.square.at[at].add(square, mode="drop"),
+            normal.gradient.at[columns].add(by_residual, mode="drop"),
+            normal.cost + cost,
+        )
+
+    return lax.fori_loop(0, len(layout.each) - 1, object_, normal)
 
 
 def _add_mixed(normal: Normal, picture: _Picture, kind: int, mean: Callable[..., Vec]) -> Normal:

@@ -25,7 +25,7 @@ Seen = tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows
 """What some pixels see, and from slopes the rows of its Jacobian times these."""
 
 #: Where the spheres' parameters are in the tables that pixels have of their own.
-_OWN = {
+OWN = {
     "color": lambda own: own.materials.color,
     "ka": lambda own: own.materials.ka,
     "kd": lambda own: own.materials.kd,
@@ -36,7 +36,7 @@ _OWN = {
     "center": lambda own: own.balls.center,
     "radius": lambda own: own.balls.radius,
 }
-assert set(_OWN) == set(SPHERES)
+assert set(OWN) == set(SPHERES)
 
 
 def seen_and_rows(
@@ -58,7 +58,7 @@ def seen_and_rows(
     """
     spread = lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count))
     own = jax.tree.map(spread, own)
-    at_own = lambda own: [_OWN[name](own) for name in layout.spheres]
+    at_own = lambda own: [OWN[name](own) for name in layout.spheres]
     at_lights = lambda scene: [LIGHTS[name](scene) for name in layout.lights]
 
     def reverse(columns: list, lights: list) -> Vec:

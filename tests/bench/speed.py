@@ -129,7 +129,7 @@ def rows(many: list[int]) -> Iterator[Row]:
         if peer is not None:
             world = mitsuba_scene(peer[0], cloud, MANY_SIZE, "ellipsoids")
             peers = {"Mitsuba ellipsoids": mitsuba_picture(*peer, world)} | peers
-        bound = 1.2 if count <= 10_000 else 3.0
+        bound = 1.2 if count <= 10_000 else 3.0 if count <= 100_000 else None
         yield f"{count:,} spheres, {MANY_SIZE}x{MANY_SIZE}", picture(cloud, MANY_SIZE), peers, bound
 
 
