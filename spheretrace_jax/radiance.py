@@ -123,7 +123,8 @@ def _add_rows(values: T, marked: Mask, work: Callable[[U, Mask], T], given: U) -
     """The same, but only rows of pixels are worked on in which some are marked."""
 
     def some(places: Ids, counts: Mask) -> T:
-        given_, marked_ = jax.tree.map(lambda x: x[places], (given, marked))
+        take = lambda x: x.at[places].get(mode="promise_in_bounds")
+        given_, marked_ = jax.tree.map(take, (given, marked))
         return work(given_, marked_ & counts[:, None])
 
     return add_where(values, jnp.any(marked, axis=1), some, CHUNK // marked.shape[1])

@@ -121,10 +121,9 @@ class Shading(eqx.Module):
                 slopes.append(jax.jvp(by, (exponent,), (jnp.ones_like(exponent),))[1])
         return jnp.stack([jnp.ones(pixels.shape, dtype), *u, *h, *slopes])
 
-    def seen(self, basis: Float[Array, "size pixels"]) -> Float[Array, "3 pixels"]:
-        """The colours."""
-        factors = self._factors(self._smooth())
-        return factors @ basis[: factors.shape[1]]
+    def factors(self) -> Float[Array, "3 terms"]:
+        """Colours are these times the first planes: 1, all u and all h."""
+        return self._factors(self._smooth())
 
     def _smooth(self) -> tuple[list[Any], Float[Array, "lights 3"]]:
         """What colours depend on besides the planes: the free of the object's own, the lights'
@@ -135,7 +134,7 @@ class Shading(eqx.Module):
     def _factors(
         self, smooth: tuple[list[Any], Float[Array, "lights 3"]]
     ) -> Float[Array, "3 terms"]:
-        """The colours' coefficients of 1, all u and all h."""
+        """`factors` as a function of what `_smooth` gives."""
         columns, colors = smooth
         own, scene = self.own, self.scene
         if columns:
@@ -171,9 +170,8 @@ class Shading(eqx.Module):
 
     def _ways(self) -> Float[Array, "columns 3 size"]:
         """The rows of the Jacobian are these times the planes; columns as in `Layout.each`."""
-        smooth = self._smooth()
-        factors = self._factors(smooth)
-        slopes, by_color = jax.jacrev(self._factors)(smooth)
+        factors = self.factors()
+        slopes, by_color = jax.jacrev(self._factors)(self._smooth())
         count, each = len(self.scene.lights), 6 + self.by_exponent
         none = jnp.zeros((1, 3, self.size), factors.dtype)
         at_u = lambda k, j: 1 + 2 * count + each * k + j

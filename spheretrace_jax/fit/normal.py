@@ -243,10 +243,11 @@ def _add_moments(normal: Normal, picture: _Picture) -> Normal:
 
     def object_(number: Int[Array, ""], normal: Normal) -> Normal:
         shading = Shading(scene, world, number, picture.options, layout)
+        factors = shading.factors()
 
         def some(sums: Moments, pixels: Ids, alive: Mask, target: Target) -> Moments:
             basis = shading.basis(pixels)
-            seen = shading.seen(basis).T[None]
+            seen = (factors @ basis[: factors.shape[1]]).T[None]
             residual = target.residual(seen, picture.exposure)[0].T
             by_picture, _ = target.slopes(seen, picture.exposure)
             return sums + moments(basis, by_picture[0].T, residual)
