@@ -174,7 +174,8 @@ def test_the_camera_comes_back_from_a_supersampled_picture_of_the_nine_spheres()
 
 
 @pytest.mark.slow
-def test_a_light_is_found_20_times_nearer_with_antialiasing():
+def test_a_light_is_found_ten_times_nearer_with_antialiasing():
+    # single rays came to 4.9 units before their fits looked past shadows a second time; 0.5 now
     size = dict(width=96, height=96)
     target = st.render(three_spheres(), samples=16, **size)
     apart = {}
@@ -184,4 +185,4 @@ def test_a_light_is_found_20_times_nearer_with_antialiasing():
         start = eqx.tree_at(lambda s: s.lights.position, truth, off)
         found = st.fit(start, target, free=("light_position",)).scene.lights.position
         apart[antialias] = float(jnp.linalg.norm(found - truth.lights.position))
-    assert apart[1] < apart[0] / 20
+    assert apart[1] < 0.05 and apart[1] < apart[0] / 10
