@@ -99,11 +99,13 @@ def _turn(world: World, hit: Hit, needs: Needs, choice: Index) -> tuple[Mask | N
 
 def goes_on(world: World, path: Path, needs: Needs, choice: Index) -> Mask:
     """Which paths do not end at their present hit."""
+    return _alive(path, path.weight * _turn(world, path.hit, needs, choice)[1], needs)
+
+
+def _alive(path: Path, weight: Plane, needs: Needs) -> Mask:
+    """Which paths go on. **Arguments:** `weight`: theirs from there on."""
     alive = path.alive & (path.hit.id >= 0)
-    if needs.dark_paths:
-        return alive
-    part = lax.stop_gradient(path.weight * _turn(world, path.hit, needs, choice)[1])
-    return alive & (part != 0)
+    return alive if needs.dark_paths else alive & (lax.stop_gradient(weight) != 0)
 
 
 def next_path(
@@ -122,7 +124,8 @@ def next_path(
     """
     surface = surface_at(world, path.ray, path.hit, needs) if surface is None else surface
     straight, part = _turn(world, path.hit, needs, choice)
-    weight, alive = path.weight * part, goes_on(world, path, needs, choice)
+    weight = path.weight * part
+    alive = _alive(path, weight, needs)
     direction = reflect(path.ray.direction, surface.normal)
     hit = path.hit
     if straight is not None:

@@ -56,9 +56,7 @@ def unoccluded_part(
         # rays from the eye have one origin for all
         pick = lambda x: x[at] if x.ndim else x
         beam_, reach_, place_, hit_ = keep(jax.tree.map(pick, (beam, reach, place, hit)))
-        world_ = (
-            world if world.own is None else eqx.tree_at(lambda w: w.own, world, world.own.at(at))
-        )
+        world_ = world if world.own is None else world.with_own(world.own.at(at))
         light_ = jax.tree.map(pick, light)
         return ~_shadow(world_, beam_, reach_, place_, hit_, number[places], light_, needs)
 

@@ -81,6 +81,10 @@ class Own(eqx.Module):
     balls: Ball
     materials: Material
 
+    def row(self, number: Int[Array, ""]) -> "Own":
+        """One object's row, as a table; others' numbers give some object's."""
+        return jax.tree.map(lambda x: x[jnp.minimum(number, len(x) - 1)][None], self)
+
     def at(self, places: Ids) -> "Own":
         """The tables of the pixels at some places of a flat list."""
         return jax.tree.map(lambda column: column[:, places], self)
@@ -106,6 +110,15 @@ class World(eqx.Module):
         if self.lists is None:
             return self
         return eqx.tree_at(lambda w: w.lists, self, self.lists.of_strip(first_row))
+
+    @property
+    def tables(self) -> Own:
+        """What pixels may have of their own, as all share it."""
+        return Own(self.balls, self.materials)
+
+    def with_own(self, own: Own) -> "World":
+        """The world of pixels that have tables of their own."""
+        return eqx.tree_at(lambda w: w.own, self, own, is_leaf=lambda x: x is None)
 
     @property
     def spheres(self) -> int:

@@ -75,10 +75,8 @@ class Shading(eqx.Module):
     def __init__(
         self, scene: Scene, world: World, number: Int[Array, ""], options: Options, layout: Layout
     ):
-        tables = Own(world.balls, world.materials)
-        row = lambda table: table[jnp.minimum(number, len(table) - 1)][None]
         self.scene, self.world, self.number = scene, world, number
-        self.own = jax.tree.map(row, tables)
+        self.own = world.tables.row(number)
         self.options, self.layout = options, layout
 
     @property
@@ -97,8 +95,7 @@ class Shading(eqx.Module):
         options, dtype = self.options, self.scene.dtype
         (left,), (top,) = sample_places(self.scene, options)
         ray = rays_through(self.scene, options, pixels, left, top)
-        own = jax.tree.map(lambda x: x[..., None], self.own)
-        world = eqx.tree_at(lambda w: w.own, self.world, own, is_leaf=lambda x: x is None)
+        world = self.world.with_own(jax.tree.map(lambda x: x[..., None], self.own))
         id_ = jnp.full(pixels.shape, self.number.astype(world.id_type))
         hit = hit_of(world, ray, id_, options.needs)
         u, h, slopes = [], [], []
@@ -141,7 +138,7 @@ class Shading(eqx.Module):
             at_own = lambda own: [OWN[name](own) for name in self.layout.spheres]
             own = eqx.tree_at(at_own, own, columns)
         scene = eqx.tree_at(lambda s: s.lights.color, scene, colors)
-        world = eqx.tree_at(lambda w: w.own, self.world, own, is_leaf=lambda x: x is None)
+        world = self.world.with_own(own)
         hit = Hit(self.number.astype(world.id_type), jnp.array(False))
         nothing = zeros((), scene.dtype)
         nowhere = Surface(nothing, nothing, nothing.x)  # textures, which ask where, there are none

@@ -33,7 +33,7 @@ from ..scene import Scene
 from ..sharding import on_devices, padded
 from ..vec import Vec, zeros
 from ..visibility import hit_of
-from ..world import Own, World, build_world
+from ..world import World, build_world
 from .layout import Layout
 from .lists import EDGE, MOST, SEVERAL, STILL, Lists, sorted_pixels
 from .moments import Moments, Shading, by_moments, moments
@@ -59,6 +59,21 @@ class Normal(eqx.Module):
     square: Float[Array, "free free"]  #: J^T J
     gradient: Float[Array, " free"]  #: J^T r
     cost: Float[Array, ""]  #: r.r / 2
+
+    def plus(
+        self,
+        columns: Int[Array, " columns"],
+        square: Float[Array, "columns columns"],
+        gradient: Float[Array, " columns"],
+        cost: Float[Array, ""],
+    ) -> "Normal":
+        """With a part added of some of the free parameters; those out of bounds are none."""
+        at = columns[:, None], columns[None, :]
+        return Normal(
+            self.square.at[at].add(square, mode="drop"),
+            self.gradient.at[columns].add(gradient, mode="drop"),
+            self.cost + cost,
+        )
 
 
 def normal_equations(
@@ -158,12 +173,8 @@ class _Picture(eqx.Module):
             both = jnp.concatenate([*parts, residual[None]])
             both = both.reshape(len(both), -1)
             products = both @ both.T
-            at = columns[:, None], columns[None, :]
-            return Normal(
-                normal.square.at[at].add(products[:-1, :-1], mode="drop"),
-                normal.gradient.at[columns].add(products[:-1, -1], mode="drop"),
-                normal.cost + products[-1, -1] / 2,
-            )
+            square, gradient = products[:-1, :-1], products[:-1, -1]
+            return normal.plus(columns, square, gradient, products[-1, -1] / 2)
 
         return self.over(label, some, normal, count)
 
@@ -216,10 +227,10 @@ def _add_single(normal: Normal, picture: _Picture) -> Normal:
     world, layout, options = picture.world, picture.layout, picture.options
     if by_moments(layout, options, len(picture.scene.lights)):
         return _add_moments(normal, picture)
-    tables, objects = Own(world.balls, world.materials), world.spheres + world.planes
+    objects = world.spheres + world.planes
 
     def object_(number: Int[Array, ""], normal: Normal) -> Normal:
-        own = jax.tree.map(lambda t: t[jnp.minimum(number, len(t) - 1)][None], tables)
+        own = world.tables.row(number)
         id_ = jnp.where(number < objects, number, -1).astype(world.id_type)
 
         def surface(scene: Scene, world: World, pixels: Ids, alive: Mask, *at: Array) -> Vec:
@@ -254,14 +265,7 @@ def _add_moments(normal: Normal, picture: _Picture) -> Normal:
 
         size = shading.size + 1
         sums = picture.over(number, some, jnp.zeros((3, size, size), scene.dtype), MOST)
-        square, by_residual, cost = shading.by_columns(sums)
-        columns = jnp.asarray(layout.each)[number]
-        at = columns[:, None], columns[None, :]
-        return Normal(
-            normal.square.at[at].add(square, mode="drop"),
-            normal.gradient.at[columns].add(by_residual, mode="drop"),
-            normal.cost + cost,
-        )
+        return normal.plus(jnp.asarray(layout.each)[number], *shading.by_columns(sums))
 
     return lax.fori_loop(0, len(layout.each) - 1, object_, normal)
 
@@ -272,11 +276,10 @@ def _add_mixed(normal: Normal, picture: _Picture, kind: int, mean: Callable[...,
     **Arguments:** `mean`: what they see.
     """
     scene, world, layout = picture.scene, picture.world, picture.layout
-    tables = Own(world.balls, world.materials)
 
     def look(pixels: Ids, alive: Mask) -> Seen:
         see = partial(mean, pixels=pixels, alive=alive)
-        return seen_and_rows(see, scene, world, tables, layout, pixels.size)
+        return seen_and_rows(see, scene, world, world.tables, layout, pixels.size)
 
     columns = jnp.asarray(layout.all)
     count = max(64, min(MOST // 2, MOST_NUMBERS // columns.size))

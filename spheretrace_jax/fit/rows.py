@@ -65,7 +65,7 @@ def seen_and_rows(
         scene_, world_ = scene, world
         if columns:
             own_ = eqx.tree_at(at_own, own, columns)
-            world_ = eqx.tree_at(lambda w: w.own, world, own_, is_leaf=lambda x: x is None)
+            world_ = world.with_own(own_)
         if lights:
             scene_ = eqx.tree_at(at_lights, scene, lights)
         return see(scene_, world_)
