@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._types import Ids
-from ..appearance import local_color
+from ..appearance import light_sums, local_color
 from ..options import Options
 from ..paths import light_terms_at
 from ..phases import UNROLL
@@ -25,11 +25,14 @@ from ..vec import vec, zeros
 from ..visibility import hit_of
 from ..world import Hit, Own, Surface, World
 from .layout import Layout
-from .parameters import GEOMETRY
+from .parameters import GEOMETRY, LIGHTS
 from .rows import OWN
 
 Moments = Float[Array, "3 all all"]
 """For each channel the sums of products of the weighted planes X and the residual."""
+
+Free = dict[str, Any]
+"""Values of what is free, by name: of the object, as tables of one row, and of the lights."""
 
 
 def by_moments(layout: Layout, options: Options, lights: int) -> bool:
@@ -118,42 +121,37 @@ class Shading(eqx.Module):
                 slopes.append(jax.jvp(by, (exponent,), (jnp.ones_like(exponent),))[1])
         return jnp.stack([jnp.ones(pixels.shape, dtype), *u, *h, *slopes])
 
-    def factors(self) -> Float[Array, "3 terms"]:
-        """Colours are these times the first planes: 1, all u and all h."""
-        return self._factors(self._smooth())
+    def factors(self, free: Free | None = None) -> Float[Array, "3 terms"]:
+        """Colours are these times the first planes: 1, all u and all h.
 
-    def _smooth(self) -> tuple[list[Any], Float[Array, "lights 3"]]:
-        """What colours depend on besides the planes: the free of the object's own, the lights'
-        colours.
+        **Arguments:** `free`: other values of what is free.
         """
-        return [OWN[name](self.own) for name in self.layout.spheres], self.scene.lights.color
-
-    def _factors(
-        self, smooth: tuple[list[Any], Float[Array, "lights 3"]]
-    ) -> Float[Array, "3 terms"]:
-        """`factors` as a function of what `_smooth` gives."""
-        columns, colors = smooth
+        free = self._free() if free is None else free
+        columns = {name: x for name, x in free.items() if name in OWN}
         own, scene = self.own, self.scene
         if columns:
-            at_own = lambda own: [OWN[name](own) for name in self.layout.spheres]
-            own = eqx.tree_at(at_own, own, columns)
-        scene = eqx.tree_at(lambda s: s.lights.color, scene, colors)
-        world = self.world.with_own(own)
+            at_own = lambda own: [OWN[name](own) for name in columns]
+            own = eqx.tree_at(at_own, own, list(columns.values()))
+        if "light_color" in free:
+            scene = eqx.tree_at(lambda s: s.lights.color, scene, free["light_color"])
+        world, needs = self.world.with_own(own), self.options.needs
         hit = Hit(self.number.astype(world.id_type), jnp.array(False))
         nothing = zeros((), scene.dtype)
         nowhere = Surface(nothing, nothing, nothing.x)  # textures, which ask where, there are none
-        count = len(colors)
 
-        def color(terms: Float[Array, " terms"]) -> Float[Array, " 3"]:
-            sums = [nothing, nothing]
-            for k in range(count):
-                sums[0] = sums[0] + vec(colors[k]) * terms[k]
-                sums[1] = sums[1] + vec(colors[k]) * terms[count + k]
-            seen = local_color(scene, world, hit, nowhere, self.options.needs, (sums[0], sums[1]))
+        def color(terms: Float[Array, "2 lights"]) -> Float[Array, " 3"]:
+            light_by_light = iter(terms.T)
+            sums = light_sums(scene, (), needs, lambda *_: tuple(next(light_by_light)))
+            seen = local_color(scene, world, hit, nowhere, needs, sums)
             return jnp.stack([seen.x, seen.y, seen.z])
 
-        dark = jnp.zeros(2 * count, scene.dtype)
-        return jnp.concatenate([color(dark)[:, None], jax.jacrev(color)(dark)], axis=1)
+        dark = jnp.zeros((2, len(scene.lights)), scene.dtype)
+        return jnp.concatenate([color(dark)[:, None], jax.jacrev(color)(dark).reshape(3, -1)], 1)
+
+    def _free(self) -> Free:
+        """The values of what is free, in the order of `Layout.each`."""
+        own = {name: OWN[name](self.own) for name in self.layout.spheres}
+        return own | {name: LIGHTS[name](self.scene) for name in self.layout.lights}
 
     def by_columns(
         self, sums: Moments
@@ -167,33 +165,21 @@ class Shading(eqx.Module):
 
     def _ways(self) -> Float[Array, "columns 3 size"]:
         """The rows of the Jacobian are these times the planes; columns as in `Layout.each`."""
-        factors = self.factors()
-        slopes, by_color = jax.jacrev(self._factors)(self._smooth())
-        count, each = len(self.scene.lights), 6 + self.by_exponent
-        none = jnp.zeros((1, 3, self.size), factors.dtype)
-        at_u = lambda k, j: 1 + 2 * count + each * k + j
-        at_h = lambda k, j: at_u(k, j) + 3
+        start, count = self._free(), len(self.scene.lights)
 
-        def own(slope: Float[Array, "3 terms *shape"]) -> Float[Array, "numbers 3 size"]:
-            slope = jnp.moveaxis(slope.reshape(*factors.shape, -1), -1, 0)
-            return jnp.pad(slope, ((0, 0), (0, 0), (0, self.size - factors.shape[1])))
+        def coefficients(free: Free) -> Float[Array, "3 size"]:
+            """Those of the planes, of which the slopes have some as what is free moves."""
+            factors = self.factors(free)
+            u, h = factors[:, 1 : 1 + count, None], factors[:, 1 + count :, None]
+            moved = {name: x - lax.stop_gradient(start[name]) for name, x in free.items()}
+            places = moved.get("light_position", jnp.zeros((count, 3), factors.dtype))[None]
+            each = [u * places, h * places]
+            if self.by_exponent:
+                each.append(h * moved["exponent"][None, None])
+            slopes = jnp.concatenate(each, axis=2).reshape(3, -1)
+            return jnp.concatenate([factors, slopes], axis=1)
 
-        def of_exponent() -> Float[Array, "1 3 size"]:
-            way = none
-            for k in range(count):
-                way = way.at[0, :, at_h(k, 3)].set(factors[:, 1 + count + k])
-            return way
-
-        parts = []
-        for name, slope in zip(self.layout.spheres, slopes, strict=True):
-            vectors = jax.tree.leaves(slope)
-            parts += [of_exponent()] if name == "exponent" else [own(x) for x in vectors]
-        for name in self.layout.lights:
-            if name == "light_color":
-                parts.append(own(by_color))
-                continue
-            for k in range(count):
-                for j in range(3):
-                    way = none.at[0, :, at_u(k, j)].set(factors[:, 1 + k])
-                    parts.append(way.at[0, :, at_h(k, j)].set(factors[:, 1 + count + k]))
-        return jnp.concatenate([jnp.zeros((0, 3, self.size), factors.dtype), *parts])
+        by = jax.jacrev(coefficients)(start)
+        parts = [x.reshape(3, self.size, -1) for name in start for x in jax.tree.leaves(by[name])]
+        none = jnp.zeros((3, self.size, 0), self.scene.dtype)
+        return jnp.moveaxis(jnp.concatenate([none, *parts], axis=2), 2, 0)
