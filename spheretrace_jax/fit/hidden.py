@@ -4,10 +4,15 @@ from collections.abc import Collection, Iterator
 
 import jax
 import numpy as np
+from jaxtyping import Bool, Float
 
 from .names import CHANNELS, listed
 from .parameters import LIGHTS, SPHERES
 from .seen import Places, Point
+
+#: What is no more than so many rounding errors of 1 is 0, a column of J in a picture of length 1
+#: as well as what multiplies it.
+ROUNDING = 1e3
 
 
 def hidden_spheres(point: Point) -> Iterator[tuple[str, np.ndarray]]:
@@ -27,11 +32,11 @@ def hidden_spheres(point: Point) -> Iterator[tuple[str, np.ndarray]]:
         )
         # the first that holds is a number's reason
         why: list[tuple[str, Collection[str]]] = []
-        if not spheres.color[i].any():
+        if _zero(spheres.color)[i].all():
             why.append((f"{who} is black", ("ka", "kd")))
-        if spheres.ka[i] == spheres.kd[i] == 0:
+        if _zero(spheres.ka)[i] and _zero(spheres.kd)[i]:
             why.append((f"{who} has ka and kd 0", ("color",)))
-        if spheres.ks[i] == 0:
+        if _zero(spheres.ks)[i]:
             why.append((f"{who} has ks 0", ("exponent",)))
         more = names - {n for _, which in why for n in which}
         if not counts and more and all(hidden[at].all() for at in mine.values()):
@@ -59,6 +64,11 @@ def hidden_lights(point: Point) -> Iterator[tuple[str, np.ndarray]]:
                 dark = i in point.unseen(at)
                 why = "reaches nothing that is seen" if dark else "does not show"
                 yield from _sentence(f"light {i + 1}{of} {why}", gone, point.hidden)
+
+
+def _zero(x: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+    """Which numbers are 0, as far as a fit that arrived at them can tell."""
+    return np.abs(x) <= ROUNDING * np.finfo(x.dtype).eps
 
 
 def _sentence(why: str, where: Places, hidden: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

@@ -17,14 +17,11 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..phases import compiled
+from .hidden import ROUNDING
 from .normal import Normal
 from .parameters import extent
 from .problem import Problem, normal_at
 from .reasons import Reason, reasons
-
-# Eigenvalues of the scaled J^T J below so many rounding errors are 0, and so are columns of J that
-# are no longer than so many rounding errors of the picture.
-_ROUNDING = 1e3
 
 # What is part of a direction of length 1 by no more than this says nothing new.
 _NOTHING = 1e-6
@@ -73,8 +70,13 @@ class Spectrum(eqx.Module):
 
 
 def spectrum_of(square: Float[np.ndarray, "free free"], size: float) -> Spectrum:
-    """**Arguments:** `square`: J^T J. `size`: the length of the picture, all its numbers taken."""
-    rounding = _ROUNDING * np.finfo(square.dtype).eps
+    """What J^T J tells of its directions.
+
+    Columns of J up to `ROUNDING` rounding errors of the picture are 0, and so are eigenvalues.
+
+    **Arguments:** `square`: J^T J. `size`: the length of the picture, all its numbers taken.
+    """
+    rounding = ROUNDING * np.finfo(square.dtype).eps
     scale = np.sqrt(np.diag(square))
     hidden = scale <= rounding * size
     # any length would do for them; one like the others' keeps functions of both comparable
