@@ -63,22 +63,26 @@ def layered(
         # another, left to this one; fronts: where the layers before it are not
         def see(color: Vec, left: Plane, given: Plane, fronts: tuple) -> tuple:
             outline = keep(outline_of(world, beam, layer.hit, needs))
-            own, reach, next_ = outline.region, outline.reach, jnp.zeros_like(left)
+            own, reach, given_next = outline.region, outline.reach, jnp.zeros_like(left)
             visible, behind = (own.edge, *fronts), ~own.edge
             part = jnp.where(untouched(fronts), own.part, common_area(*visible)) + given
             if layer.behind is not None:
                 cut = keep(crossing(world, beam, layer.hit, reach, layer.behind, needs))
-                next_ = common_area(*visible, cut.region.edge, ~cut.ahead)
-                part = part - next_
+                # the next one shows outside this outline or beyond the cut: of the two half-planes
+                # that which holds more of it stands for both, and the rest is given to it
+                inside = common_area(*visible, cut.region.edge, ~cut.ahead)
+                outside = common_area(~own.edge, *fronts, cut.region.edge, cut.ahead)
+                part = part - inside
                 visible = (*visible, cut.ahead)
-                behind = where(next_ > 0, ~cut.ahead, behind)
+                behind = where(inside > outside, ~cut.ahead, behind)
+                given_next = jnp.minimum(inside, outside)
             part = only(jnp.where(last, left, jnp.clip(part, 0, left)))
             seen = layer_color(
                 scene, world, beam, layer.hit, reach, visible, options, shown, leaving
             )
             color = color + where(shown, seen * part, zeros(part.shape, part.dtype))
             behind = where(shown, behind, everything(part))
-            return color, left - part, only(next_), (behind, *fronts[:-1])
+            return color, left - part, only(given_next), (behind, *fronts[:-1])
 
         stay = lambda *state: state
         return lax.cond(jnp.any(shown), see, stay, *state), None
