@@ -1,9 +1,10 @@
-"""`Options`: what is static about a picture besides its scene, checked."""
+"""`Options`: what a picture is besides its scene, checked."""
 
 import dataclasses
 
 import equinox as eqx
 from jax.sharding import NamedSharding
+from jaxtyping import Array, Float
 
 from ._types import Highlight
 from .errors import InputError
@@ -17,7 +18,7 @@ MOST_SAMPLES, MOST_BRANCHINGS = 256, 16
 
 
 class Options(eqx.Module):
-    """What is static about a picture besides its scene."""
+    """What a picture is besides its scene: static, but for `box`."""
 
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
@@ -28,6 +29,14 @@ class Options(eqx.Module):
     needs: Needs = eqx.field(static=True)
     rows: Rows = eqx.field(static=True)  #: which are computed: all but on one of several devices
     sharding: NamedSharding | None = eqx.field(static=True)  #: how rows lie on several devices
+    #: how many pixels wide and high the boxes around pixels' centres are whose means are seen;
+    #: None for the pixels themselves
+    box: Float[Array, ""] | None = None
+
+    @property
+    def side(self) -> Float[Array, ""] | float:
+        """How wide and high the box of a sample is, in pixels."""
+        return (1.0 if self.box is None else self.box) / self.samples
 
     @property
     def of_device(self) -> "Options":

@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Scalar
 
 from ._types import Plane
 from .camera import Ray, pixel_rays
@@ -46,7 +47,7 @@ class Varying(eqx.Module, Generic[T]):
 
 
 def pixel_beams(
-    camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int], side: float
+    camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int], side: Scalar | float
 ) -> Varying[Ray]:
     """The rays of `pixel_rays` with their differentials.
 

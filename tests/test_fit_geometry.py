@@ -1,15 +1,26 @@
 """Centres, radii, the camera and shadows' light, found from antialiased pictures."""
 
+import dataclasses
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
+import optimistix as optx
 import pytest
 from scenes import nine_spheres, three_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.camera import view_frame
+from spheretrace_jax.fit.bounded import BoundedLevenbergMarquardt, CautiousTrustRegion
 from spheretrace_jax.fit.parameters import Parameters
+from spheretrace_jax.options import options
+from spheretrace_jax.render import draw
+
+# functions of the same names hide these modules
+PROBLEM, RUN = (sys.modules[f"spheretrace_jax.fit.{name}"] for name in ("problem", "run"))
 
 SPHERES = ("center", "radius")
 CAMERA = ("theta", "phi", "mu", "distance")
@@ -77,6 +88,62 @@ def test_centres_and_radii_come_back_to_1e_8():
     found = st.fit(displaced_two(), st.render(truth, **SMALL), free=SPHERES)
     assert found.converged and found.steps <= 40
     assert sphere_error(found.scene, truth) < 1e-8
+
+
+def test_a_fit_starts_with_wider_pixels_where_there_are_enough(monkeypatch):
+    truth = two_over_a_floor()
+    target, boxes = st.render(truth, **SMALL), []
+    looked = RUN.normal_at
+
+    def look(problem, values):
+        boxes.append(float(problem.options[0].box))
+        return looked(problem, values)
+
+    monkeypatch.setattr(RUN, "normal_at", look)
+    monkeypatch.setattr(PROBLEM, "_FEWEST", 9)
+    found = st.fit(displaced_two(), target, free=SPHERES)
+    assert sphere_error(found.scene, truth) < 1e-8
+    assert boxes == sorted(boxes, reverse=True) and set(boxes) == {5.0, 1.0}
+    assert boxes.count(1.0) <= 10
+
+
+def test_a_solver_of_the_users_own_sees_no_wider_pixels(monkeypatch):
+    monkeypatch.setattr(PROBLEM, "_FEWEST", 1)
+    plain = optx.LevenbergMarquardt(1e-8, 1e-8)
+    assert not RUN.Run(plain, False, 1e-8, 9, None).widens
+    own = BoundedLevenbergMarquardt(1e-8, 1e-8, {}, {}, cautious=True)
+    assert RUN.Run(own, False, 1e-8, 9, None).widens
+    assert not RUN.Run(own, True, 1e-8, 9, None).widens
+
+
+def test_wider_pixels_are_those_of_a_smaller_picture():
+    # ambient light alone, so that no smooth shading is averaged by its neighbours
+    scene = eqx.tree_at(
+        lambda s: (s.spheres.ka, s.spheres.kd, s.spheres.ks),
+        two_over_a_floor(),
+        (jnp.ones(3), jnp.zeros(3), jnp.zeros(3)),
+    )
+    whole = options(scene, 48, 48, bounces=0)
+    wide = np.asarray(draw(scene, dataclasses.replace(whole, box=jnp.array(3.0))))
+    small = np.asarray(st.render(scene, width=16, height=16, bounces=0))
+    np.testing.assert_allclose(wide[1::3, 1::3], small, atol=1e-12)
+
+
+def test_each_rejected_step_drops_further_than_the_one_before():
+    search, y = CautiousTrustRegion(), jnp.array([1.0])
+    jacobian = lx.MatrixLinearOperator(jnp.eye(1))
+    here = optx.FunctionInfo.ResidualJac(y, jacobian)
+    seen = lambda residual: optx.FunctionInfo.ResidualJac(jnp.array([residual]), jacobian)
+    state, sizes = search.init(y, here), []
+    # as foretold, then worse three times, then as foretold
+    for residual in (0.0, 9.0, 9.0, 9.0, 0.0, 9.0):
+        size, accepted, _, state = search.step(
+            jnp.array(False), y, jnp.zeros(1), here, seen(residual), state
+        )
+        assert bool(accepted) == (residual == 0)
+        sizes.append(float(size))
+    ratios = np.array(sizes) / np.array([1.0, *sizes[:-1]])
+    np.testing.assert_allclose(ratios, [3, 1 / 4, 1 / 16, 1 / 64, 3, 1 / 4])
 
 
 @pytest.mark.slow

@@ -101,6 +101,13 @@ def test_the_sums_are_those_of_the_whole_jacobian_of_more_scenes(name):
     check(SLOW[name])
 
 
+def test_pixels_that_do_not_count_are_not_looked_at():
+    mask = np.random.default_rng(0).uniform(size=(20, 24)) < 0.3
+    (lists,) = problem_of(nine_spheres(SHADOWED), SHADED, {}, dict(mask=mask)).lists
+    looked_at = np.asarray(lists.order)[: int(lists.starts[-1])]
+    np.testing.assert_array_equal(np.sort(looked_at), np.flatnonzero(mask))
+
+
 def test_the_compressed_residual_has_the_cost_and_the_derivatives_of_all():
     problem = problem_of(*CASES["one ray"])
     values = problem.start()

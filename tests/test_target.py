@@ -47,6 +47,18 @@ def some() -> np.ndarray:
     return np.random.default_rng(2).uniform(size=(64, 64)) < 0.8
 
 
+def test_boxes_of_pixels_are_means_at_their_middles():
+    image = jnp.arange(7 * 6 * 3.0).reshape(7, 6, 3)
+    weight = jnp.ones((7, 6, 3)).at[0, 5].set(0)
+    boxes = Target(image, weight, jnp.ones(()), "square").of_boxes(3)
+    assert {tuple(map(int, at)) for at in np.argwhere(np.asarray(boxes.counts))} == {
+        (1, 1), (4, 1), (4, 4)  # the box at (1, 4) holds a pixel that does not count
+    }  # fmt: skip
+    np.testing.assert_allclose(boxes.image[4, 1], image[3:6, 0:3].mean((0, 1)))
+    # as much as nine pixels with the same residual
+    np.testing.assert_array_equal(boxes.weight[4, 1], 3)
+
+
 @pytest.fixture
 def unchecked():
     """Without the tests' type checks, which refuse a wrong word before the user's message."""

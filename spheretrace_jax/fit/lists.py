@@ -16,8 +16,9 @@ from ..world import build_world
 from .layout import Layout
 
 #: The list before those of the objects and of a background that moves (`Layout.each`): pixels that
-#: nothing free moves. Those after them: pixels that show several objects, and those with edges.
-STILL, SEVERAL, EDGE = -1, 0, 1
+#: nothing free moves. Those after them: pixels that show several objects, those with edges, and
+#: those that do not count.
+STILL, SEVERAL, EDGE, NONE = -1, 0, 1, 2
 
 #: The most pixels of a list that are looked at at once.
 MOST = 1 << 12
@@ -34,17 +35,22 @@ class Lists(eqx.Module):
         return self.starts[label - STILL], self.starts[label - STILL + 1]
 
 
-def sorted_pixels(scene: Scene, layout: Layout, options: Options, edge: Mask | None) -> Lists:
+def sorted_pixels(
+    scene: Scene, layout: Layout, options: Options, counts: Mask, edge: Mask | None
+) -> Lists:
     """Which pixels show which object, several, or edges; without derivatives.
 
     A list for each object, for the background if it moves, for pixels that show several objects
-    and for those with edges. **Arguments:** `edge`: where there may be edges.
+    and for those with edges.
+
+    **Arguments:** `counts`: which pixels do. `edge`: where there may be edges.
     """
     label = _labels(scene, layout, options)
     if edge is not None:
         label = jnp.where(edge.reshape(-1), len(layout.each) + EDGE, label)
-    order = _sorted(label - STILL, len(layout.each) + EDGE - STILL + 1)
-    numbers = jnp.arange(STILL, len(layout.each) + EDGE + 2, dtype=label.dtype)
+    label = jnp.where(counts.reshape(-1), label, len(layout.each) + NONE)
+    order = _sorted(label - STILL, len(layout.each) + NONE - STILL + 1)
+    numbers = jnp.arange(STILL, len(layout.each) + NONE + 1, dtype=label.dtype)
     starts = jnp.searchsorted(label[order], numbers, side="left").astype(jnp.int32)
     return Lists(jnp.pad(order, (0, MOST)), starts)
 

@@ -42,8 +42,13 @@ from .target import Target
 
 T = TypeVar("T")
 
-# Of pixels that show several objects so many are looked at at once that their part of the Jacobian
-# has at most so many numbers, 12 MB in float64.
+# Pixels of one object, and those that show several, are looked at so many at a time, or else what
+# is left of the last time costs more than many times do: a step of the nine spheres' geometry at
+# 256 x 256 takes 77 ms, of its 51 x 51 boxes 23; with 4096 and 2048 125 and 100.
+MOST_ALONE, MOST_MIXED = 1 << 10, 1 << 8
+
+# Of pixels that show several objects no more than have a part of the Jacobian of so many numbers,
+# 12 MB in float64.
 MOST_NUMBERS = 1 << 19
 
 # A pixel and its neighbours left, right, above and below: how far to the right, and down.
@@ -93,11 +98,11 @@ def normal_equations(
         return _of_rows(scene, exposure, target, layout, options, lists)
 
     def own(whole: tuple, own: tuple) -> Normal:
-        (scene, exposure, noise), (image, weight, lists) = whole, own
-        mine, part = Target(image, weight, noise, target.loss), options.of_device
+        (scene, exposure, noise, part), (image, weight, lists) = whole, own
+        mine = Target(image, weight, noise, target.loss)
         return lax.psum(_of_rows(scene, exposure, mine, layout, part, lists), part.rows.axes)
 
-    whole = scene, exposure, target.noise
+    whole = scene, exposure, target.noise, options.of_device
     # rows beyond the picture weigh nothing
     image, weight = (padded(x, options.sharding) for x in (target.image, target.weight))
     return on_devices(own, options.sharding, whole, (image, weight, lists), joined=True)
@@ -115,7 +120,7 @@ def _of_rows(
     world = build_world(scene)
     edge = sampled(scene, options)[1] if options.antialias else None
     if lists is None:
-        lists = sorted_pixels(scene, layout, options, edge)
+        lists = sorted_pixels(scene, layout, options, target.counts, edge)
     weights = None if edge is None else _weights(edge, options, scene.dtype)
     picture = _Picture(scene, world, target, exposure, lists, weights, layout, options)
     n, dtype = layout.size, scene.dtype
@@ -138,7 +143,7 @@ class _Picture(eqx.Module):
     lists: Lists
     weights: Float[Array, "5 pixels"] | None  #: of `_BESIDE`; None for pixels that are points
     layout: Layout = eqx.field(static=True)
-    options: Options = eqx.field(static=True)
+    options: Options
 
     def near(self, look: Look, scene: Scene, world: World, pixels: Ids, alive: Mask) -> Vec:
         """The mean of some pixels and, as `render.averaged` says, a little of their neighbours."""
@@ -243,7 +248,7 @@ def _add_single(normal: Normal, picture: _Picture) -> Normal:
             see = partial(picture.near, surface, pixels=pixels, alive=alive)
             return seen_and_rows(see, picture.scene, world, own, layout, pixels.size)
 
-        return picture.add(normal, number, jnp.asarray(layout.each)[number], look, MOST)
+        return picture.add(normal, number, jnp.asarray(layout.each)[number], look, MOST_ALONE)
 
     return lax.fori_loop(0, len(layout.each), object_, normal)
 
@@ -282,7 +287,7 @@ def _add_mixed(normal: Normal, picture: _Picture, kind: int, mean: Callable[...,
         return seen_and_rows(see, scene, world, world.tables, layout, pixels.size)
 
     columns = jnp.asarray(layout.all)
-    count = max(64, min(MOST // 2, MOST_NUMBERS // columns.size))
+    count = max(64, min(MOST_MIXED, MOST_NUMBERS // columns.size))
     return picture.add(normal, len(layout.each) + kind, columns, look, count)
 
 

@@ -1,5 +1,6 @@
 """`Problem`: the least-squares problem of a fit, for one picture or for several of one world."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from ..options import Options, options as render_options
 from ..phases import compiled
 from ..render import draw_everywhere
 from ..scene import Scene
-from ..sharding import everywhere, gathered, on_devices
+from ..sharding import everywhere, gathered, on_devices, padded
 from .layout import Layout
 from .lists import Lists, sorted_pixels
 from .normal import Normal, normal_equations
@@ -33,6 +34,9 @@ from .parameters import (
     value,
 )
 from .target import Target, make_target
+
+# Coarser pictures have pixels this many times as wide, and at least so many along each side.
+_WIDENS, _FEWEST = 5, 48
 
 
 class Problem(eqx.Module):
@@ -96,6 +100,19 @@ class Problem(eqx.Module):
             Parameters(s, p.free) for s, p in zip(starts, self.parameters, strict=True)
         )
         return eqx.tree_at(lambda p: p.parameters, self, parameters)
+
+    def coarser(self) -> "list[Problem]":
+        """The same problem of fewer, wider pixels, from the widest on.
+
+        Only where edges move: they have a derivative for as long as they stay within their pixels,
+        so that the wider these are, the further a step can go.
+        """
+        if any(o.box is None for o in self.options):
+            return []
+        least, sides = min(min(o.width, o.height) for o in self.options), [_WIDENS]
+        while least >= _FEWEST * sides[-1]:
+            sides.append(_WIDENS * sides[-1])
+        return [_of_boxes(self, side) for side in reversed(sides[:-1])]
 
     @property
     def dtype(self) -> np.dtype:
@@ -161,6 +178,15 @@ class Problem(eqx.Module):
             return jnp.concatenate([parts[n].reshape(-1) for n in self.parameters[k].free])
 
         return jax.jacfwd(natural)(y)
+
+
+@compiled
+def _of_boxes(problem: Problem, side: int) -> Problem:
+    """The same problem of the means of boxes of pixels."""
+    at = lambda p: [*p.targets, *(o.box for o in p.options)]
+    targets = [t.of_boxes(side) for t in problem.targets]
+    boxes = [jnp.asarray(side, problem.dtype) for _ in problem.options]
+    return eqx.tree_at(at, problem, [*targets, *boxes])
 
 
 @compiled
@@ -232,32 +258,32 @@ def make_problem(
     own_names = frozenset(own) | ({"exposure"} & set(free) if several else set())
     _check_own(scenes, free, own_names)
     each = {name: _each(name, x, len(scenes)) if several else [x] for name, x in counts.items()}
-    targets, options = [], []
+    targets, options, fixed = [], [], not GEOMETRY & set(free)
     for k, (one, image) in enumerate(zip(scenes, images, strict=True)):
         goal = make_target(image, one.dtype, **{name: x[k] for name, x in each.items()})
         height, width, _ = goal.image.shape
         wanted = needs(one, free=[name for name in free if name != "exposure"])
-        options.append(
-            render_options(one, width, height, highlight, bounces, samples, wanted, sharding)
-        )
+        seen = render_options(one, width, height, highlight, bounces, samples, wanted, sharding)
+        if seen.antialias and not fixed:
+            seen = dataclasses.replace(seen, box=jnp.ones((), one.dtype))
+        options.append(seen)
         targets.append(goal)
     scenes, targets = everywhere((scenes, targets), options[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
-    fixed = not GEOMETRY & set(free)
     lists = tuple(
-        _lists(one, free, o) if fixed and not o.antialias else None
-        for one, o in zip(scenes, options, strict=True)
+        _lists(one, goal, free, o) if fixed and not o.antialias else None
+        for one, goal, o in zip(scenes, targets, options, strict=True)
     )
     return Problem(parameters, tuple(targets), tuple(options), lists, own_names)
 
 
 @compiled
-def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> Lists:
-    layout = Layout(scene, free)
+def _lists(scene: Scene, target: Target, free: tuple[str, ...], options: Options) -> Lists:
+    layout, counts = Layout(scene, free), target.counts
     if options.sharding is None:
-        return sorted_pixels(scene, layout, options, None)
-    own = lambda scene, _: sorted_pixels(scene, layout, options.of_device, None)
-    return on_devices(own, options.sharding, scene)
+        return sorted_pixels(scene, layout, options, counts, None)
+    own = lambda scene, counts: sorted_pixels(scene, layout, options.of_device, counts, None)
+    return on_devices(own, options.sharding, scene, padded(counts, options.sharding))
 
 
 def _each(name: str, value: Any, count: int) -> list:

@@ -12,8 +12,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree, Scalar
 
 from ..phases import compiled
+from .bounded import CautiousTrustRegion
 from .normal import Normal
 from .problem import Problem, compress, compressed_residual, normal_at
+
+# The step in a coarser picture that lowers the cost by less than this part of it is the last one.
+_ENOUGH = 0.1
 
 
 class Progress(eqx.Module):
@@ -113,6 +117,8 @@ class Run:
         self.fn = _square if isinstance(solver, optx.AbstractMinimiser) else _linear
         if dense:
             self.fn = _full
+        search = getattr(solver, "search", None)
+        self.widens = self.fn is _linear and isinstance(search, CautiousTrustRegion)
 
     @property
     def converged(self) -> bool:
@@ -120,10 +126,29 @@ class Run:
 
     def solve(self, problem: Problem, values: PyTree) -> PyTree:
         """**Returns:** the best values, also if it is interrupted."""
+        coarser = problem.coarser() if self.widens and not self.costs else []
+        step_size = None
+        for some in coarser:
+            values, step_size = self._solve(some, values, step_size, _ENOUGH)
+            if self.interrupted:
+                return values
+        return self._solve(problem, values, step_size)[0]
+
+    def _solve(
+        self, problem: Problem, values: PyTree, step_size: Scalar | None, enough: float = 0
+    ) -> tuple[PyTree, Scalar | None]:
+        """**Arguments:** `step_size`: the search's first one; None for its own. `enough`: a step
+        that lowers the cost by less than this part of it is the last one.
+
+        **Returns:** the best values and the last step size, if they go on in a finer picture.
+        """
         self.result = optx.RESULTS.nonlinear_max_steps_reached
+        before = np.inf
         try:
             args = self._args(problem, values)
             state = _init(self.solver, self.fn, args, values)
+            if step_size is not None:
+                state = eqx.tree_at(lambda s: s.search_state.step_size, state, step_size)
             for _ in range(self.max_steps):
                 values, cost, state, move = _step(self.solver, self.fn, args, values, state)
                 self.costs.append(float(cost))
@@ -135,14 +160,18 @@ class Run:
                     self.fn, values, args, _options(self.fn), state, frozenset()
                 )
                 # or only steps below the tolerance are left, none of which lowers the cost
-                rejected = getattr(state, "num_steps_since_acceptance", 0) >= 2
-                if done or (rejected and move < self.tolerance):
+                waits = getattr(state, "num_steps_since_acceptance", 0)
+                if done or (waits >= 2 and move < self.tolerance):
                     self.result = result
                     break
+                if not waits and before * (1 - enough) < self.costs[-1] < before:
+                    break
+                before = self.costs[-1]
                 args = self._args(problem, _next(values, state))
         except KeyboardInterrupt:
             self.interrupted = True
-        return values
+            return values, None
+        return values, state.search_state.step_size if enough else None
 
     def _args(self, problem: Problem, values: PyTree) -> Any:
         """What the residual function needs at the next point to look at."""

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._types import Picture
 from ..errors import InputError, PictureError
@@ -43,6 +43,11 @@ class Target(eqx.Module):
     loss: Loss = eqx.field(static=True)
 
     @property
+    def counts(self) -> Bool[Array, "height width"]:
+        """Which pixels have numbers that count."""
+        return jnp.any(self.weight > 0, axis=-1)
+
+    @property
     def counted(self) -> int:
         """How many numbers count."""
         return int(np.sum(np.asarray(self.weight) > 0))
@@ -57,6 +62,26 @@ class Target(eqx.Module):
     def size(self) -> float:
         """The root-mean-square of those that count."""
         return self.length / np.sqrt(self.counted)
+
+    def of_boxes(self, side: int) -> "Target":
+        """The means of boxes of pixels, side by side, at their middles; no other pixels count.
+
+        **Arguments:** `side`: how many pixels wide and high the boxes are, an odd number.
+        """
+        rows, columns = (n // side for n in self.weight.shape[:2])
+
+        def boxes(x: Picture) -> Float[Array, "rows side columns side 3"]:
+            return x[: rows * side, : columns * side].reshape(rows, side, columns, side, 3)
+
+        def at_middles(x: Float[Array, "rows columns 3"]) -> Picture:
+            middles = (slice(side // 2, n * side, side) for n in (rows, columns))
+            return jnp.zeros_like(self.weight).at[*middles].set(x)
+
+        weights = boxes(self.weight)
+        # of a mean of n numbers the noise is sqrt(n) times less
+        weight = jnp.where(jnp.all(weights > 0, axis=(1, 3)), weights.mean(axis=(1, 3)) * side, 0)
+        image = at_middles(boxes(self.image).mean(axis=(1, 3)))
+        return Target(image, at_middles(weight), self.noise, self.loss)
 
     def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
         """weight (exposure picture - target)."""
