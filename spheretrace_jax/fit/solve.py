@@ -128,8 +128,8 @@ def fit(
     does not move from the start.
 
     Edges have derivatives for as long as they stay within their pixels. So where centres, radii or
-    the camera are free, a fit goes first by pixels 5 times as wide (25 times where 48 such pixels
-    fit in the picture), from where the pixels themselves take few steps.
+    the camera are free, a fit goes first by pixels 5 times as wide, before that 25 times, as long
+    as 48 of them lie along each side. From there the pixels themselves take few steps.
 
     **Arguments:**
 
