@@ -14,7 +14,7 @@ from .layers import layered
 from .lists import lists
 from .needs import Needs
 from .options import Options, options
-from .phases import STRIP_PIXELS, compiled, fill, retrace
+from .phases import STRIP_PIXELS, compiled, fill, large, retrace
 from .radiance import radiance
 from .scene import Scene
 from .sharding import everywhere, on_devices
@@ -217,6 +217,7 @@ def _sample(
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @retrace
     def trace(first_row: Int[Array, ""]) -> tuple[Vec | Picture, Mask]:
+        first_row = large(first_row)
         columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
         lines = top + first_row.astype(dtype) + lines
         ray = pixel_rays(scene.camera, (left + columns)[None, :], lines[:, None], (width, height))

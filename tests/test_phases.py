@@ -9,6 +9,7 @@ from spheretrace_jax.phases import (
     compiler_options,
     fetch,
     fill,
+    large,
     materialise,
     materialise_pair,
     nth_marked,
@@ -46,6 +47,20 @@ def test_rows_that_do_not_exist_give_finite_numbers():
 @pytest.mark.parametrize("count", [0, 3, UNROLL + 5])
 def test_short_and_long_loops_run_as_often(count):
     assert over(count, lambda i, total: total + i, jnp.array(0)) == sum(range(count))
+
+
+def test_a_large_loop_is_the_same_loop_with_a_call_in_it():
+    def squares(mark):
+        times = lambda x, k: x * mark(k).astype(x.dtype) ** 2
+        return jax.jit(lambda x: jax.lax.map(lambda k: times(x, k), jnp.arange(5)))
+
+    same = lambda k: k
+    np.testing.assert_array_equal(squares(large)(jnp.array(2.0)), squares(same)(jnp.array(2.0)))
+    slope = jax.jacrev(squares(large))(jnp.array(2.0))
+    np.testing.assert_array_equal(slope, np.arange(5.0) ** 2)
+    calls = lambda mark: "custom-call" in squares(mark).lower(jnp.array(2.0)).compile().as_text()
+    assert not calls(same)
+    assert calls(large) == (jax.default_backend() == "cpu")
 
 
 def test_a_materialised_phase_has_its_value_and_derivative():
