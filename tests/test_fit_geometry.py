@@ -110,6 +110,19 @@ def test_a_fit_starts_with_wider_pixels_where_there_are_enough(monkeypatch):
     assert boxes.count(1.0) < 0.75 * alone.steps
 
 
+def test_pixels_are_as_wide_as_the_picture_and_gaps_in_it_allow():
+    def boxes(size, gaps=0.0, free=SPHERES):
+        mask = np.random.default_rng(0).uniform(size=(size, size)) >= gaps
+        scene, black = two_over_a_floor(), np.zeros((size, size, 3))
+        made = PROBLEM.make_problem(scene, black, free, (), "phong", 0, 1, mask=mask)
+        return [float(wide.options[0].box) for wide in made.coarser()]
+
+    assert boxes(1200) == [25, 5]
+    assert boxes(240) == [5] and boxes(239) == []
+    assert boxes(240, gaps=0.01) == [5] and boxes(240, gaps=0.1) == []
+    assert boxes(240, free=("color", "light_position")) == []
+
+
 def test_a_solver_of_the_users_own_sees_no_wider_pixels(monkeypatch):
     monkeypatch.setattr(PROBLEM, "_FEWEST", 1)
     plain = optx.LevenbergMarquardt(1e-8, 1e-8)

@@ -105,14 +105,19 @@ class Problem(eqx.Module):
         """The same problem of fewer, wider pixels, from the widest on.
 
         Only where edges move: they have a derivative for as long as they stay within their pixels,
-        so that the wider these are, the further a step can go.
+        so that the wider these are, the further a step can go. None that leave out most of what
+        counts, as of boxes with gaps in them.
         """
         if any(o.box is None for o in self.options):
             return []
-        least, sides = min(min(o.width, o.height) for o in self.options), [_WIDENS]
-        while least >= _FEWEST * sides[-1]:
-            sides.append(_WIDENS * sides[-1])
-        return [_of_boxes(self, side) for side in reversed(sides[:-1])]
+        found, side = [], _WIDENS
+        while side * _FEWEST <= min(min(o.width, o.height) for o in self.options):
+            wide = _of_boxes(self, side)
+            if wide.counted * side**2 < self.counted / 2:
+                break
+            found.append(wide)
+            side *= _WIDENS
+        return found[::-1]
 
     @property
     def dtype(self) -> np.dtype:
