@@ -8,6 +8,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scenes import SCENES, nine_spheres
 
+from spheretrace_jax.fit.lists import sorted_pixels
 from spheretrace_jax.fit.problem import compressed_residual, make_problem
 
 SHADED = ("color", "ka", "kd", "ks", "light_position")
@@ -103,9 +104,21 @@ def test_the_sums_are_those_of_the_whole_jacobian_of_more_scenes(name):
 
 def test_pixels_that_do_not_count_are_not_looked_at():
     mask = np.random.default_rng(0).uniform(size=(20, 24)) < 0.3
-    (lists,) = problem_of(nine_spheres(SHADOWED), SHADED, {}, dict(mask=mask)).lists
+    scene = nine_spheres(SHADOWED)
+    problem = problem_of(scene, SHADED, {}, dict(mask=mask))
+    counts = problem.targets[0].counts
+    lists = sorted_pixels(scene, problem.layout(0), problem.options[0], counts)
     looked_at = np.asarray(lists.order)[: int(lists.starts[-1])]
     np.testing.assert_array_equal(np.sort(looked_at), np.flatnonzero(mask))
+
+
+def test_pixels_of_a_replaced_target_count():
+    scene, mask = nine_spheres(SHADOWED), np.random.default_rng(0).uniform(size=(20, 24)) < 0.3
+    whole = problem_of(scene, SHADED, {}, {})
+    masked = problem_of(scene, SHADED, {}, dict(mask=mask))
+    opened = eqx.tree_at(lambda p: p.targets, masked, whole.targets)
+    for a, b in zip(*(jax.tree.leaves(normal(p, p.start())) for p in (opened, whole)), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_the_compressed_residual_has_the_cost_and_the_derivatives_of_all():

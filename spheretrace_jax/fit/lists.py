@@ -36,19 +36,24 @@ class Lists(eqx.Module):
 
 
 def sorted_pixels(
-    scene: Scene, layout: Layout, options: Options, counts: Mask, edge: Mask | None
+    scene: Scene,
+    layout: Layout,
+    options: Options,
+    counts: Mask | None = None,
+    edge: Mask | None = None,
 ) -> Lists:
     """Which pixels show which object, several, or edges; without derivatives.
 
     A list for each object, for the background if it moves, for pixels that show several objects
     and for those with edges.
 
-    **Arguments:** `counts`: which pixels do. `edge`: where there may be edges.
+    **Arguments:** `counts`: which pixels do, by default all. `edge`: where there may be edges.
     """
     label = _labels(scene, layout, options)
     if edge is not None:
         label = jnp.where(edge.reshape(-1), len(layout.each) + EDGE, label)
-    label = jnp.where(counts.reshape(-1), label, len(layout.each) + NONE)
+    if counts is not None:
+        label = jnp.where(counts.reshape(-1), label, len(layout.each) + NONE)
     order = _sorted(label - STILL, len(layout.each) + NONE - STILL + 1)
     numbers = jnp.arange(STILL, len(layout.each) + NONE + 1, dtype=label.dtype)
     starts = jnp.searchsorted(label[order], numbers, side="left").astype(jnp.int32)

@@ -19,7 +19,7 @@ from ..options import Options, options as render_options
 from ..phases import compiled
 from ..render import draw_everywhere
 from ..scene import Scene
-from ..sharding import everywhere, gathered, on_devices, padded
+from ..sharding import everywhere, gathered, on_devices
 from .layout import Layout
 from .lists import Lists, sorted_pixels
 from .normal import Normal, normal_equations
@@ -276,19 +276,20 @@ def make_problem(
     scenes, targets = everywhere((scenes, targets), options[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
     lists = tuple(
-        _lists(one, goal, free, o) if fixed and not o.antialias else None
-        for one, goal, o in zip(scenes, targets, options, strict=True)
+        _lists(one, free, o) if fixed and not o.antialias else None
+        for one, o in zip(scenes, options, strict=True)
     )
     return Problem(parameters, tuple(targets), tuple(options), lists, own_names)
 
 
 @compiled
-def _lists(scene: Scene, target: Target, free: tuple[str, ...], options: Options) -> Lists:
-    layout, counts = Layout(scene, free), target.counts
+def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> Lists:
+    # of all pixels: the target of a problem may be replaced by one of which others count
+    layout = Layout(scene, free)
     if options.sharding is None:
-        return sorted_pixels(scene, layout, options, counts, None)
-    own = lambda scene, counts: sorted_pixels(scene, layout, options.of_device, counts, None)
-    return on_devices(own, options.sharding, scene, padded(counts, options.sharding))
+        return sorted_pixels(scene, layout, options)
+    own = lambda scene, _: sorted_pixels(scene, layout, options.of_device)
+    return on_devices(own, options.sharding, scene)
 
 
 def _each(name: str, value: Any, count: int) -> list:
