@@ -51,16 +51,18 @@ def layered(
     pixels there are; others are 0. `leaving`: the hit that the rays start from, None for the eye.
     """
     needs, one = options.needs, jnp.ones(alive.shape, scene.dtype)
-    layers, shown = remember(peel(world, beam, needs, alive, leaving))
+    layers, shown = peel(world, beam, needs, alive, leaving)
     last = jnp.arange(len(shown)) == MOST_LAYERS - 1
 
-    @retrace
     def add(state: tuple, x: tuple) -> tuple:
         layer, shown, last = x
         only = lambda part: jnp.where(shown, part, 0)
 
+        # traced again inside of the branch, which else hands on all that it keeps for the reverse
+        # pass, or as many zeros
         # left: what of the pixel no layer has yet; given: what the layer before, where they cut one
         # another, left to this one; fronts: where the layers before it are not
+        @retrace
         def see(color: Vec, left: Plane, given: Plane, fronts: tuple) -> tuple:
             outline = keep(outline_of(world, beam, layer.hit, needs))
             own, reach, given_next = outline.region, outline.reach, jnp.zeros_like(left)

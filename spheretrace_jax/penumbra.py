@@ -45,7 +45,7 @@ def unoccluded_part(
     the half-planes of the pixel in all of which the object shows.
     """
     place = middle(*visible[:2])
-    blocked, edges = remember(_occluders(world, beam, reach, place, hit, light, needs))
+    blocked, edges = _occluders(world, beam, reach, place, hit, light, needs)
 
     count, number = reach.size, jnp.concatenate(edges)
 
@@ -97,7 +97,7 @@ def _bound(
 ) -> _Bound:
     """What bounds the shadow of one object, as its derivatives at a place in the pixel say."""
     x, y = place
-    ball = world.ball(number)
+    ball = keep(world.ball(number))
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
     there = beam.at(x, y).map(lambda ray: surface_at(world, _straight(ray), hit, needs).point)
     q = there.map(lambda p: _from_light(p, light, ball.center)[1])

@@ -147,12 +147,11 @@ def keep(values: T) -> T:
     """
     if jax.default_backend() != "cpu" or jax.__version_info__ >= (0, 12):
         return lax.optimization_barrier(values)
-    # dropped there, as `materialise` says; a branch on what holds of any number, nan too, is not
-    leaves = jax.tree.leaves(values)
-    some = next(leaf for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.inexact)).reshape(-1)[0]
-    some = some.real
-    zeros = lambda v: jax.tree.map(jnp.zeros_like, v)
-    return lax.cond((some < 1) | (some >= 1) | jnp.isnan(some), lambda v: v, zeros, values)
+    # dropped there, as `materialise` says; a function that is not inlined is not
+    from jax.experimental.compute_on import compute_on2
+
+    here = jax.memory.Space.Device
+    return compute_on2(lambda values: values, compute_type="device", out_memory_spaces=here)(values)
 
 
 def over(count: int, body: Callable[[Index, T], T], start: T, unroll: int = UNROLL) -> T:
@@ -326,7 +325,7 @@ def add_where(
 
     def put(values: T, number: Int[Array, " size"]) -> T:
         counts = number < total
-        places = jnp.where(counts, place(number), 0)
+        places = keep(jnp.where(counts, place(number), 0))
         new = work(places, counts)
         at = jnp.where(counts, places, n)
         add = lambda v, x: v.at[at].add(x, mode="drop", unique_indices=True)

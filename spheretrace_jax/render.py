@@ -14,7 +14,7 @@ from .layers import layered
 from .lists import lists
 from .needs import Needs
 from .options import Options, options
-from .phases import STRIP_PIXELS, compiled, fill, large, retrace
+from .phases import STRIP_PIXELS, add_where, compiled, large, retrace
 from .radiance import radiance
 from .scene import Scene
 from .sharding import everywhere, on_devices
@@ -93,7 +93,7 @@ def _rows(scene: Scene, options: Options) -> Picture:
 def sampled(scene: Scene, options: Options) -> tuple[Vec | Picture, Mask]:
     """The mean of each pixel's samples, and in which pixels there may be edges.
 
-    Where edges are covered, in planes.
+    Where edges are covered, in planes, with the rows above and below.
     """
     size = options.width, options.height
     known = lists(scene, size, options.needs, options.bounces, options.rows)
@@ -106,9 +106,11 @@ def sampled(scene: Scene, options: Options) -> tuple[Vec | Picture, Mask]:
         color, edge = _sample(scene, world, options, *place)
         return (total[0] + color, total[1] | edge), None
 
-    size = (options.rows.count, options.width)
-    black = zeros(size, scene.dtype) if options.antialias else jnp.zeros((*size, 3), scene.dtype)
-    (color, edge), _ = lax.scan(add, (black, jnp.full(size, False)), places)
+    rows, width = options.rows.count, options.width
+    black = jnp.zeros((rows, width, 3), scene.dtype)
+    if options.antialias:
+        black = zeros((rows + 2, width), scene.dtype)
+    (color, edge), _ = lax.scan(add, (black, jnp.full((rows, width), False)), places)
     return color * (1 / k**2), edge
 
 
@@ -130,19 +132,24 @@ def averaged(color: Vec | Picture, edge: Mask, options: Options) -> Picture:
 
     The mean of a smooth f over a pixel is f + (f_xx + f_yy)/24: without that what is bright and
     small, as highlights are, is too bright at its centre.
+
+    **Arguments:** `color`: as `sampled` says.
     """
     if not isinstance(color, Vec):
         return color
-    across, down = smooth_beside(edge, options)
-    part = bend_part(options)
+    across, down = (mask.reshape(-1) for mask in smooth_beside(edge, options))
+    part, width = bend_part(options), options.width
 
-    def mean(f: Plane) -> Plane:
-        wide, tall = jnp.pad(f, ((0, 0), (1, 1))), options.rows.with_neighbours(f)
-        bend_x = wide[:, :-2] + wide[:, 2:] - 2 * f
-        bend_y = tall[:-2] + tall[2:] - 2 * f
+    def mean(plane: Plane) -> Plane:
+        # one row after the other, a neighbour is what is so much further on
+        row_by_row = plane.reshape(-1)
+        beside = lambda by: lax.slice(row_by_row, (width + by,), (width + by + edge.size,))
+        f = beside(0)
+        bend_x = beside(-1) + beside(1) - 2 * f
+        bend_y = beside(-width) + beside(width) - 2 * f
         return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
 
-    return _interleaved(jax.tree.map(mean, color))
+    return _interleaved(jax.tree.map(mean, color)).reshape(*edge.shape, 3)
 
 
 def _interleaved(color: Vec) -> Picture:
@@ -238,8 +245,12 @@ def _sample(
     # nor what few of the chunks have
     @retrace
     def compose(pixels: Int[Array, " n"], alive: Mask) -> Vec:
-        return area_seen(scene, world, options, pixels, alive, left, top)
+        return area_seen(scene, world, options, pixels - width, alive, left, top)
 
+    # a place for the rows above and below now spares a copy of all when neighbours are needed: where
+    # what is kept for a while exceeds 32 MB, a picture takes twice as long
+    color = jax.tree.map(lambda x: options.rows.with_neighbours(jnp.where(edge, 0, x)), color)
+    marked = jnp.pad(edge, ((1, 1), (0, 0))).reshape(-1)
     flat = jax.tree.map(jnp.ravel, color)
-    flat = fill(flat, edge.reshape(-1), compose, min(EDGE_PIXELS, edge.size))
-    return jax.tree.map(lambda x: x.reshape(edge.shape), flat), edge
+    flat = add_where(flat, marked, compose, min(EDGE_PIXELS, edge.size))
+    return jax.tree.map(lambda x: x.reshape(-1, width), flat), edge

@@ -43,7 +43,7 @@ class Varying(eqx.Module, Generic[T]):
         wide = lambda v: jnp.broadcast_to(v, jnp.broadcast_shapes(v.shape, x.shape))
         value, dx, dy = (jax.tree.map(wide, v) for v in (self.value, self.dx, self.dy))
         move = lambda v, dx, dy: v + x * dx + y * dy
-        return Varying(jax.tree.map(move, value, dx, dy), dx, dy)
+        return Varying(keep(jax.tree.map(move, value, dx, dy)), dx, dy)
 
 
 def pixel_beams(
