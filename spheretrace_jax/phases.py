@@ -322,8 +322,10 @@ def add_where(
     """
     n = marked.size
     total, place = nth_marked(marked)
+    one_chunk = jnp.arange(size, dtype=jnp.int32)
 
-    def put(values: T, number: Int[Array, " size"]) -> T:
+    def put(values: T, first: Index) -> T:
+        number = first + one_chunk
         counts = number < total
         places = keep(jnp.where(counts, place(number), 0))
         new = work(places, counts)
@@ -331,18 +333,17 @@ def add_where(
         add = lambda v, x: v.at[at].add(x, mode="drop", unique_indices=True)
         return jax.tree.map(add, values, new)
 
-    def put_some(values: T, numbers: Int[Array, "... size"]) -> tuple[T, None]:
+    def put_some(values: T, firsts: Int[Array, "..."]) -> tuple[T, None]:
         skip = lambda values, _: values
-        work = put if numbers.ndim == 1 else lambda v, x: lax.scan(put_some, v, x)[0]
-        return lax.cond(numbers.reshape(-1)[0] < total, work, skip, values, numbers), None
+        work = put if firsts.ndim == 0 else lambda v, x: lax.scan(put_some, v, x)[0]
+        return lax.cond(firsts.reshape(-1)[0] < total, work, skip, values, firsts), None
 
     # of many chunks it is found out group by group that there are no places left
     chunks = -(-n // size)
     group = math.isqrt(chunks - 1) + 1 if chunks > MOST_SKIPPED else 1
-    shape = (size,) if group == 1 else (group, size)
-    count = -(-chunks // group)
-    numbers = jnp.arange(count * math.prod(shape), dtype=jnp.int32).reshape(count, *shape)
-    return lax.scan(put_some, values, numbers)[0]
+    shape = (-(-chunks // group), group) if group > 1 else (chunks,)
+    firsts = jnp.arange(math.prod(shape), dtype=jnp.int32).reshape(shape) * size
+    return lax.scan(put_some, values, firsts)[0]
 
 
 def until_done(
