@@ -314,6 +314,7 @@ def add_where(
     marked: Bool[Array, " n"],
     work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
     size: int,
+    again: bool = False,
 ) -> T:
     """The values with those of `work` added at the marked places, only for as many as there are.
 
@@ -324,13 +325,20 @@ def add_where(
     total, place = nth_marked(marked)
     one_chunk = jnp.arange(size, dtype=jnp.int32)
 
+    def new_at(at: Int[Array, "size 1"]) -> T:
+        counts = at[:, 0] < n
+        return work(jnp.where(counts, at[:, 0], 0), counts)
+
     def put(values: T, first: Index) -> T:
         number = first + one_chunk
-        counts = number < total
-        places = keep(jnp.where(counts, place(number), 0))
-        new = work(places, counts)
-        at = jnp.where(counts, places, n)
-        add = lambda v, x: v.at[at].add(x, mode="drop", unique_indices=True)
+        at = keep(jnp.where(number < total, place(number), n)[:, None])
+
+        def add(v: Array, x: Array) -> Array:
+            axes = lax.ScatterDimensionNumbers(tuple(range(1, x.ndim)), (0,), (0,))
+            return lax.scatter_add(v, at, x, axes, unique_indices=True, mode="drop")
+
+        # traced again, all that is kept is one array, with room for all the chunks there might be
+        new = retrace(new_at)(at) if again else new_at(at)
         return jax.tree.map(add, values, new)
 
     def put_some(values: T, firsts: Int[Array, "..."]) -> tuple[T, None]:

@@ -242,8 +242,6 @@ def _sample(
     if not options.antialias:
         return color, edge
 
-    # nor what few of the chunks have
-    @retrace
     def compose(pixels: Int[Array, " n"], alive: Mask) -> Vec:
         return area_seen(scene, world, options, pixels - width, alive, left, top)
 
@@ -252,5 +250,5 @@ def _sample(
     color = jax.tree.map(lambda x: options.rows.with_neighbours(jnp.where(edge, 0, x)), color)
     marked = jnp.pad(edge, ((1, 1), (0, 0))).reshape(-1)
     flat = jax.tree.map(jnp.ravel, color)
-    flat = add_where(flat, marked, compose, min(EDGE_PIXELS, edge.size))
+    flat = add_where(flat, marked, compose, min(EDGE_PIXELS, edge.size), again=True)
     return jax.tree.map(lambda x: x.reshape(-1, width), flat), edge
