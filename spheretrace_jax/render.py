@@ -140,16 +140,17 @@ def averaged(color: Vec | Picture, edge: Mask, options: Options) -> Picture:
     across, down = (mask.reshape(-1) for mask in smooth_beside(edge, options))
     part, width = bend_part(options), options.width
 
-    def mean(plane: Plane) -> Plane:
+    def mean(plane: Float[Array, "all width"]) -> Float[Array, "height width"]:
         # one row after the other, a neighbour is what is so much further on
         row_by_row = plane.reshape(-1)
         beside = lambda by: lax.slice(row_by_row, (width + by,), (width + by + edge.size,))
         f = beside(0)
         bend_x = beside(-1) + beside(1) - 2 * f
         bend_y = beside(-width) + beside(width) - 2 * f
-        return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
+        bend = jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)
+        return (f + bend * part).reshape(edge.shape)
 
-    return _interleaved(jax.tree.map(mean, color)).reshape(*edge.shape, 3)
+    return _interleaved(jax.tree.map(mean, color))
 
 
 def _interleaved(color: Vec) -> Picture:

@@ -11,10 +11,11 @@ import numpy as np
 import scenes
 from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import NamedSharding, PartitionSpec
+from jaxtyping import Array
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.problem import make_problem, normal_at
-from spheretrace_jax.options import options
+from spheretrace_jax.options import Options, options
 from spheretrace_jax.render import averaged, draw
 from spheretrace_jax.sharding import on_devices
 from spheretrace_jax.vec import Vec
@@ -76,9 +77,13 @@ def neighbours(sharding: NamedSharding | None) -> Results:
     scene = scenes.three_spheres(antialias=1)
     settings = options(scene, WIDTH, UNEVEN, sharding=sharding)
     planes = Vec(*jnp.asarray(color[:, :height])), jnp.asarray(edge[:height])
+
+    def averages(color: Vec, edge: Array, settings: Options) -> Array:
+        return averaged(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)
+
     if sharding is None:
-        return {"mean": np.asarray(averaged(*planes, settings))}
-    mean = lambda _, planes: averaged(*planes, settings.of_device)
+        return {"mean": np.asarray(averages(*planes, settings))}
+    mean = lambda _, planes: averages(*planes, settings.of_device)
     found = jax.jit(lambda planes: on_devices(mean, settings.sharding, None, planes))(planes)
     return {"mean": np.asarray(process_allgather(found, tiled=True))[:UNEVEN]}
 
