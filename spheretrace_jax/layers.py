@@ -113,7 +113,7 @@ def layer_color(
     mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
     surface = mean_surface(ray)
     terms = partial(_terms, world, beam, reach, hit, surface, visible, options)
-    sums = light_sums(scene, hit.id.shape, needs, terms)
+    sums = keep(light_sums(scene, hit.id.shape, needs, terms))
     color = local_color(scene, world, hit, surface, needs, sums)
     if not options.bounces:
         return color
@@ -170,11 +170,8 @@ def _terms(
         return diffuse, jnp.zeros_like(diffuse)
 
     def front() -> Plane:
-        def cosine(ray: Ray) -> Plane:
-            surface = surface_at(world, ray, hit, needs, reach)
-            return lambert(surface, toward_light(surface, light))
-
-        f = beam.map(cosine)
+        surface = beam.map(lambda ray: surface_at(world, ray, hit, needs, reach))
+        f = surface.map(lambda surface: lambert(surface, toward_light(surface, light)))
         return half_plane(f.value, f.dx, f.dy)
 
     abrupt = lit & ends_abruptly(options.highlight, to_light, ray.direction)

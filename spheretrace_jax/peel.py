@@ -81,7 +81,8 @@ def next_objects(
 
     def enter(best: list[Found], new: Found, covers: Mask) -> list[Found]:
         after = (new.t > last.t) | (new.t == last.t) & (new.hit.id > last.hit.id)
-        covers = covers & after & (new.t > 0)
+        # kept, or all of it is found again for each part of what is carried
+        new, covers = keep((new, covers & after & (new.t > 0)))
         before = [covers & (new.t < old.t) for old in best]
         here = [where(sooner, new, old) for sooner, old in zip(before, best, strict=True)]
         moved = zip(before, best, here[1:], strict=False)
