@@ -56,6 +56,16 @@ def pixel_rays(camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int
 
     **Returns:** rays from the eye, with a direction for each position.
     """
+    return unit_ray(rays_toward(camera, columns, rows, size))
+
+
+def unit_ray(ray: Ray) -> Ray:
+    """The ray with a direction of unit length."""
+    return Ray(ray.origin, unit(ray.direction))
+
+
+def rays_toward(camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int]) -> Ray:
+    """`pixel_rays` with directions of any length."""
     frame = view_frame(camera)
     # only their ratio matters
     scale = to_order_one(camera.window, camera.distance)
@@ -71,4 +81,4 @@ def pixel_rays(camera: Camera, columns: Plane, rows: Plane, size: tuple[int, int
         along(frame.right.y, frame.up.y, frame.forward.y),
         along(frame.right.z, frame.up.z, frame.forward.z),
     )
-    return Ray(frame.eye, unit(towards))
+    return Ray(frame.eye, towards)

@@ -25,7 +25,7 @@ from .outlines import crossing, outline_of
 from .paths import Path, next_path
 from .peel import MOST_LAYERS, peel
 from .penumbra import unoccluded_part
-from .phases import keep, remember, retrace
+from .phases import keep, retrace
 from .radiance import radiance
 from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jax import lax
 
 from ._types import Ids, Mask, Plane
-from .camera import Ray
+from .camera import Ray, unit_ray
 from .coverage import disc_region
 from .halfplane import HalfPlane, common_area, everything, middle, positive
 from .intersect import perpendicular
 from .needs import Needs
-from .phases import fill, keep, over, remember
+from .phases import fill, keep, over
 from .varying import Varying
 from .vec import Vec, dot, norm, safe_sqrt, unit, where
 from .visibility import row
@@ -99,7 +99,7 @@ def _bound(
     x, y = place
     ball = keep(world.ball(number))
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    there = beam.at(x, y).map(lambda ray: surface_at(world, _straight(ray), hit, needs).point)
+    there = beam.at(x, y).map(lambda ray: surface_at(world, unit_ray(ray), hit, needs).point)
     q = there.map(lambda p: _from_light(p, light, ball.center)[1])
     f = q.map(lambda q: radius - norm(q))
     if needs.planes:
@@ -139,11 +139,6 @@ def _shadow(
     return where(straight, positive(edge.f), curved)
 
 
-def _straight(ray: Ray) -> Ray:
-    """The ray with a direction of unit length."""
-    return Ray(ray.origin, unit(ray.direction))
-
-
 def _where_zero(
     world: World,
     beam: Varying[Ray],
@@ -168,7 +163,7 @@ def _where_zero(
     across = lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1]
     least = 0.3 * mean_chord(across(beam.value), ball.radius, reach)[0]
     least = jnp.where(least > 0, least, 1)
-    q = beam.at(x, y).map(lambda ray: across(_straight(ray)))
+    q = beam.at(x, y).map(lambda ray: across(unit_ray(ray)))
     square = ball.radius * ball.radius - dot(q.value, q.value)
     chord = safe_sqrt(jnp.maximum(square, least * least))
 
@@ -201,7 +196,7 @@ def _occluders(
 ) -> tuple[Mask, tuple[Ids, ...]]:
     """Whether something darkens all of a pixel, and the objects whose shadows' edges cross it."""
     world, beam, light = jax.lax.stop_gradient((world, beam, light))
-    point = beam.at(*place).map(lambda ray: surface_at(world, _straight(ray), hit, needs).point)
+    point = beam.at(*place).map(lambda ray: surface_at(world, unit_ray(ray), hit, needs).point)
     here = point.value
     to_light = light - here
     shape, far = to_light.x.shape, norm(to_light)

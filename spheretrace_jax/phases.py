@@ -151,7 +151,8 @@ def keep(values: T) -> T:
     from jax.experimental.compute_on import compute_on2
 
     here = jax.memory.Space.Device
-    return compute_on2(lambda values: values, compute_type="device", out_memory_spaces=here)(values)
+    same: Any = compute_on2(lambda v: v, compute_type="device", out_memory_spaces=here)
+    return same(values)
 
 
 def over(count: int, body: Callable[[Index, T], T], start: T, unroll: int = UNROLL) -> T:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Scalar
 
 from ._types import Plane
-from .camera import Ray, pixel_rays
+from .camera import Ray, rays_toward, unit_ray
 from .phases import keep
 from .scene import Camera
 
@@ -54,5 +54,5 @@ def pixel_beams(
     **Arguments:** `side`: of the pixel in whole pixels, 1/k for one of k x k samples.
     """
     zero, step = jnp.zeros_like(columns), jnp.full_like(columns, side)
-    through = lambda at: pixel_rays(camera, at[0], at[1], size)
-    return Varying((columns, rows), (step, zero), (zero, step)).map(through)
+    toward = lambda at: rays_toward(camera, at[0], at[1], size)
+    return Varying((columns, rows), (step, zero), (zero, step)).map(toward).map(unit_ray)
