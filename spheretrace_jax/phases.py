@@ -349,8 +349,8 @@ def add_where(
 
     # of many chunks it is found out group by group that there are no places left
     chunks = -(-n // size)
-    group = math.isqrt(chunks - 1) + 1 if chunks > MOST_SKIPPED else 1
-    shape = (-(-chunks // group), group) if group > 1 else (chunks,)
+    groups = math.isqrt(chunks)
+    shape = (groups, -(-chunks // groups)) if chunks > MOST_SKIPPED else (chunks,)
     firsts = jnp.arange(math.prod(shape), dtype=jnp.int32).reshape(shape) * size
     return lax.scan(put_some, values, firsts)[0]
 

@@ -1,5 +1,7 @@
 """From a scene to a picture: strips of pixels, samples per pixel, edges."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -137,18 +139,15 @@ def averaged(color: Vec | Picture, edge: Mask, options: Options) -> Picture:
     """
     if not isinstance(color, Vec):
         return color
-    across, down = (mask.reshape(-1) for mask in smooth_beside(edge, options))
+    across, down = smooth_beside(edge, options)
     part, width = bend_part(options), options.width
 
     def mean(plane: Float[Array, "all width"]) -> Float[Array, "height width"]:
-        # one row after the other, a neighbour is what is so much further on
-        row_by_row = plane.reshape(-1)
-        beside = lambda by: lax.slice(row_by_row, (width + by,), (width + by + edge.size,))
+        beside = _further_on(plane, options)
         f = beside(0)
         bend_x = beside(-1) + beside(1) - 2 * f
         bend_y = beside(-width) + beside(width) - 2 * f
-        bend = jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)
-        return (f + bend * part).reshape(edge.shape)
+        return f + (jnp.where(across, bend_x, 0) + jnp.where(down, bend_y, 0)) * part
 
     return _interleaved(jax.tree.map(mean, color))
 
@@ -165,8 +164,26 @@ def bend_part(options: Options) -> Float[Array, ""] | float:
 def smooth_beside(edge: Mask, options: Options) -> tuple[Mask, Mask]:
     """Where there is no edge in a pixel nor left and right of it, and not above and below."""
     smooth = ~edge & options.rows.within(options.height)[:, None]
-    wide, tall = jnp.pad(smooth, ((0, 0), (1, 1))), options.rows.with_neighbours(smooth)
-    return smooth & wide[:, :-2] & wide[:, 2:], smooth & tall[:-2] & tall[2:]
+    beside = _further_on(options.rows.with_neighbours(smooth), options)
+    column = jnp.arange(options.width, dtype=jnp.int32)
+    inner = (column > 0) & (column < options.width - 1)
+    across = beside(-1) & beside(1) & inner[None, :]
+    return smooth & across, smooth & beside(-options.width) & beside(options.width)
+
+
+def _further_on(plane: Array, options: Options) -> Callable[[int], Array]:
+    """What is so much further on, row by row, than each pixel: its neighbours, for one.
+
+    **Arguments:** `plane`: with the rows above and below.
+    """
+    rows, width = options.rows.count, options.width
+    flat = plane.reshape(-1)
+
+    def further_on(by: int) -> Array:
+        start = width + by
+        return lax.slice(flat, (start,), (start + rows * width,)).reshape(rows, width)
+
+    return further_on
 
 
 def point_seen(
