@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from ._types import Index, Mask, Plane, Scalar
+from ._types import Index, Mask, Plane
 from .appearance import background, light_sums, local_color
 from .camera import Ray
 from .edges import Cone, onward
@@ -60,7 +60,7 @@ def light_terms_at(
     options: Options,
     light: Vec,
     shadows: bool,
-    exponent: Scalar | None = None,
+    exponent: Plane | None = None,
 ) -> tuple[Plane, Plane]:
     """N.L and the highlight of one light where rays meet objects, 0 where it does not reach.
 

@@ -81,8 +81,11 @@ class Own(eqx.Module):
     balls: Ball
     materials: Material
 
-    def row(self, number: Int[Array, ""]) -> "Own":
-        """One object's row, as a table; others' numbers give some object's."""
+    def row(self, number: Int[Array, "*chunks"]) -> "Own":
+        """One object's row, as a table; others' numbers give some object's.
+
+        Of several numbers the tables of one row of as many chunks of pixels.
+        """
         return jax.tree.map(lambda x: x[jnp.minimum(number, len(x) - 1)][None], self)
 
     def at(self, places: Ids) -> "Own":

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Int
 
-from .._types import Ids, Index, Mask
+from .._types import Ids, Mask
 from ..options import Options
 from ..phases import STRIP_PIXELS
 from ..render import rays_through, sample_places
@@ -30,8 +30,10 @@ class Lists(eqx.Module):
     order: Int[Array, " padded"]  #: list by list; then `MOST` zeros
     starts: Int[Array, " lists"]  #: where each list begins, from that of `STILL` on, and the end
 
-    def bounds(self, label: Index) -> tuple[Int[Array, ""], Int[Array, ""]]:
-        """Where a list begins and ends."""
+    def bounds(
+        self, label: Int[Array, "*labels"] | int
+    ) -> tuple[Int[Array, "*labels"], Int[Array, "*labels"]]:
+        """Where a list begins and ends, or several do."""
         return self.starts[label - STILL], self.starts[label - STILL + 1]
 
 

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._types import Ids
 from ..appearance import light_sums, local_color
 from ..options import Options
 from ..paths import light_terms_at
@@ -28,7 +27,7 @@ from .layout import Layout
 from .parameters import GEOMETRY, LIGHTS
 from .rows import OWN
 
-Moments = Float[Array, "3 all all"]
+Moments = Float[Array, "*chunks 3 all all"]
 """For each channel the sums of products of the weighted planes X and the residual."""
 
 Free = dict[str, Any]
@@ -44,39 +43,47 @@ def by_moments(layout: Layout, options: Options, lights: int) -> bool:
 
 
 def moments(
-    basis: Float[Array, "size pixels"],
-    slope: Float[Array, "3 pixels"],
-    residual: Float[Array, "3 pixels"],
+    basis: Float[Array, "*chunks size pixels"],
+    slope: Float[Array, "*chunks 3 pixels"],
+    residual: Float[Array, "*chunks 3 pixels"],
 ) -> Moments:
     """The moments of some pixels. **Arguments:** `slope`: of the residual by the picture."""
-    size = len(basis)
+    size = basis.shape[-2]
+    squared = lambda rows: rows @ jnp.swapaxes(rows, -1, -2)
 
     def each() -> Moments:
-        rows = jnp.concatenate([slope[:, None] * basis[None], residual[:, None]], axis=1)
-        return rows @ jnp.swapaxes(rows, 1, 2)
+        rows = slope[..., None, :] * basis[..., None, :, :]
+        return squared(jnp.concatenate([rows, residual[..., None, :]], axis=-2))
 
     def alike() -> Moments:
-        rows = jnp.concatenate([slope[:1] * basis, residual])
-        square = rows @ rows.T
+        square = squared(jnp.concatenate([slope[..., :1, :] * basis, residual], axis=-2))
         at = [jnp.array([*range(size), size + c]) for c in range(3)]
-        return jnp.stack([square[i[:, None], i[None, :]] for i in at])
+        return jnp.stack([square[..., i[:, None], i[None, :]] for i in at], axis=-3)
 
     # where nothing is clipped or masked in some channels only, one product does
-    return lax.cond(jnp.all(slope == slope[:1]), alike, each)
+    return lax.cond(jnp.all(slope == slope[..., :1, :]), alike, each)
 
 
 class Shading(eqx.Module):
-    """How the pixels that show one object are coloured."""
+    """How the pixels that show one object are coloured.
+
+    For `basis` there may be several objects, each with pixels of its own.
+    """
 
     scene: Scene
     world: World
     own: Own  #: the object's row
-    number: Int[Array, ""]
+    number: Int[Array, "*chunks"]
     options: Options = eqx.field(static=True)
     layout: Layout = eqx.field(static=True)
 
     def __init__(
-        self, scene: Scene, world: World, number: Int[Array, ""], options: Options, layout: Layout
+        self,
+        scene: Scene,
+        world: World,
+        number: Int[Array, "*chunks"],
+        options: Options,
+        layout: Layout,
     ):
         self.scene, self.world, self.number = scene, world, number
         self.own = world.tables.row(number)
@@ -91,7 +98,7 @@ class Shading(eqx.Module):
         """How many planes there are."""
         return 1 + (8 + self.by_exponent) * len(self.scene.lights)
 
-    def basis(self, pixels: Ids) -> Float[Array, "size pixels"]:
+    def basis(self, pixels: Int[Array, "*chunks pixels"]) -> Float[Array, "*chunks size pixels"]:
         """The planes: 1, all u, all h, and light by light the derivatives of u, of h by the
         position, and that of h by the exponent.
         """
@@ -99,7 +106,8 @@ class Shading(eqx.Module):
         (left,), (top,) = sample_places(self.scene, options)
         ray = rays_through(self.scene, options, pixels, left, top)
         world = self.world.with_own(jax.tree.map(lambda x: x[..., None], self.own))
-        id_ = jnp.full(pixels.shape, self.number.astype(world.id_type))
+        number = self.number.astype(world.id_type)[..., None]
+        id_ = jnp.broadcast_to(number, pixels.shape)
         hit = hit_of(world, ray, id_, options.needs)
         u, h, slopes = [], [], []
         for k, place in enumerate(self.scene.lights.position):
@@ -108,7 +116,7 @@ class Shading(eqx.Module):
                 shadows = options.needs.shadows_of(k)
                 return light_terms_at(world, ray, hit, options, vec(place), shadows, exponent)
 
-            exponent = self.own.materials.exponent[0]
+            exponent = self.own.materials.exponent[0][..., None]
             by_place = lambda e, at=place, n=exponent, terms=terms: jax.jvp(
                 lambda place: terms(place, n), (at,), (e,)
             )
@@ -119,7 +127,7 @@ class Shading(eqx.Module):
             if self.by_exponent:
                 by = lambda n, at=place, terms=terms: terms(at, n)[1]
                 slopes.append(jax.jvp(by, (exponent,), (jnp.ones_like(exponent),))[1])
-        return jnp.stack([jnp.ones(pixels.shape, dtype), *u, *h, *slopes])
+        return jnp.stack([jnp.ones(pixels.shape, dtype), *u, *h, *slopes], axis=-2)
 
     def factors(self, free: Free | None = None) -> Float[Array, "3 terms"]:
         """Colours are these times the first planes: 1, all u and all h.
