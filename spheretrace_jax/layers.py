@@ -113,7 +113,7 @@ def layer_color(
     mean_surface = lambda ray: surface_at(world, ray, hit, needs, reach)
     surface = mean_surface(ray)
     terms = partial(_terms, world, beam, reach, hit, surface, visible, options)
-    sums = keep(light_sums(scene, hit.id.shape, needs, terms))
+    sums = light_sums(scene, hit.id.shape, needs, terms)
     color = local_color(scene, world, hit, surface, needs, sums)
     if not options.bounces:
         return color
