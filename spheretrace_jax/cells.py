@@ -19,7 +19,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from ._types import Ids, Mask, Plane, Scalar
-from .phases import running_sum
+from .marked import running_sum
 from .vec import Vec
 
 T = TypeVar("T")

@@ -18,7 +18,8 @@ from jax import lax
 from ._types import Ids, Mask, Plane, Scalar
 from .camera import Ray
 from .cells import Cells, Cluster, Layout, Meet, T
-from .phases import keep, until_done
+from .marked import until_done
+from .phases import keep
 from .vec import Vec, parts
 
 # Rays look at this many spheres at each step.

@@ -13,8 +13,9 @@ from .camera import Ray, unit_ray
 from .coverage import disc_region
 from .halfplane import HalfPlane, common_area, everything, middle, positive
 from .intersect import perpendicular
+from .marked import fill
 from .needs import Needs
-from .phases import fill, keep, over
+from .phases import keep, over
 from .varying import Varying
 from .vec import Vec, dot, norm, safe_sqrt, unit, where
 from .visibility import row

@@ -17,9 +17,10 @@ from jaxtyping import Array, Int, Int8
 from ._types import Ids, Index, Mask
 from .camera import Ray
 from .edges import Cone, near_edge
+from .marked import add_where
 from .options import Options
 from .paths import Path, goes_on, next_path, shade
-from .phases import add_where, materialise, remember, retrace
+from .phases import materialise, remember, retrace
 from .scene import Scene
 from .vec import Vec, zeros
 from .visibility import nearest

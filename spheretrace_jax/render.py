@@ -14,9 +14,10 @@ from .charts import TILE
 from .edges import pixel_cones
 from .layers import layered
 from .lists import lists
+from .marked import add_where
 from .needs import Needs
 from .options import Options, options
-from .phases import STRIP_PIXELS, add_where, compiled, keep, large, retrace
+from .phases import STRIP_PIXELS, compiled, keep, large, retrace
 from .radiance import radiance
 from .scene import Scene
 from .sharding import everywhere, on_devices

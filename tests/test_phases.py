@@ -3,20 +3,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from spheretrace_jax.marked import fill, nth_marked, running_sum, until_done
 from spheretrace_jax.phases import (
     UNROLL,
     compiled,
     compiler_options,
     fetch,
-    fill,
     large,
     materialise,
     materialise_pair,
-    nth_marked,
     over,
-    running_sum,
     smallest_int,
-    until_done,
 )
 
 

@@ -18,9 +18,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._types import Ids, Index, Mask
 from ..appearance import background
+from ..marked import running_sum
 from ..options import Options
 from ..paths import Path, shade
-from ..phases import running_sum
 from ..render import (
     area_seen,
     bend_part,
