@@ -10,15 +10,16 @@ from .halfplane import HalfPlane, everything, positive
 from .intersect import perpendicular
 from .needs import Needs
 from .varying import Varying
-from .vec import dot, safe_sqrt, where
-from .world import Hit, World, surface_at
+from .vec import Vec, dot, safe_sqrt, where
+from .world import Hit, Surface, World, mean_surface_at
 
 
-class Outline(eqx.Module):
-    """The part of a pixel inside an object's silhouette."""
+class Rim(eqx.Module):
+    """How a beam passes the edges of objects."""
 
-    region: Region
-    reach: Plane  #: how far its edge function varies (`world.surface_at`)
+    q: Varying[Vec]  #: from the ray to the sphere's centre, at a right angle to the ray
+    slope: Varying[Plane] | None  #: D.N, positive toward the plane; None if there are no planes
+    reach: Plane  #: how far |q|, for planes D.N, varies from the pixel's centre to its border
 
 
 class Crossing(eqx.Module):
@@ -28,39 +29,58 @@ class Crossing(eqx.Module):
     ahead: HalfPlane
 
 
-def outline_of(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> Outline:
+def rim_of(world: World, beam: Varying[Ray], hit: Hit, needs: Needs) -> Rim:
+    """How a beam passes the edge of the object that it hits, or just misses."""
+    center = world.ball(hit.id).center
+    q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, center)[1])
+    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
+    if not needs.planes:
+        return Rim(q, None, reach)
+    flat = world.flat(hit.id)
+    away = dot(flat.point - beam.value.origin, flat.normal)
+    side = jnp.where(away < 0, -1, 1).astype(away.dtype)
+    slope = beam.map(lambda ray: dot(ray.direction, flat.normal) * side)
+    level = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
+    return Rim(q, slope, jnp.where(hit.id >= world.spheres, level, reach))
+
+
+def outline_of(world: World, beam: Varying[Ray], hit: Hit, rim: Rim) -> Region:
     """What of a pixel is inside an object's silhouette; all of it, if there is none."""
     ball = world.ball(hit.id)
     is_ball = (hit.id >= 0) & (hit.id < world.spheres)
-    q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, ball.center)[1])
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    inside = disc_region(q, beam.value.direction, radius)
+    inside = disc_region(rim.q, beam.value.direction, radius)
     whole = Region(jnp.ones_like(radius), everything(radius))
     outline = where(is_ball & ~hit.inside, inside, whole)
-    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
-    if needs.planes:
-        flat = world.flat(hit.id)
-        away = dot(flat.point - beam.value.origin, flat.normal)
-        side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-        slope = beam.map(lambda ray: dot(ray.direction, flat.normal) * side)
-        level = half_plane_region(slope)
-        level_reach = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
-        is_plane = hit.id >= world.spheres
-        outline, reach = where(is_plane, (level, level_reach), (outline, reach))
-    return Outline(outline, reach)
+    if rim.slope is None:
+        return outline
+    return where(hit.id >= world.spheres, half_plane_region(rim.slope), outline)
+
+
+def mean_surface(
+    world: World, beam: Varying[Ray], hit: Hit, rim: Rim, needs: Needs
+) -> Varying[Surface]:
+    """The mean surface of the part of a pixel inside an object's silhouette."""
+    return beam.beside(rim.q).map(
+        lambda both: mean_surface_at(world, both[0], both[1], hit, needs, rim.reach)
+    )
 
 
 def crossing(
-    world: World, beam: Varying[Ray], hit: Hit, reach: Plane, behind: Hit, needs: Needs
+    world: World,
+    beam: Varying[Ray],
+    surface: Varying[Surface],
+    behind: Hit,
+    needs: Needs,
 ) -> Crossing:
-    """How a surface and the one behind it may cut one another. **Arguments:** `reach`: of `hit`."""
-    other = outline_of(world, beam, behind, needs)
+    """How a surface and the one behind it may cut one another."""
+    rim = rim_of(world, beam, behind, needs)
+    other = mean_surface(world, beam, behind, rim, needs)
 
-    def further(ray: Ray) -> Plane:
-        depth = lambda hit, reach: dot(
-            surface_at(world, ray, hit, needs, reach).point - ray.origin, ray.direction
-        )
-        return depth(behind, other.reach) - depth(hit, reach)
+    def further(three: tuple[Ray, tuple[Surface, Surface]]) -> Plane:
+        ray, (near, far) = three
+        return dot(far.point - near.point, ray.direction)
 
-    some, f = behind.id >= 0, positive(beam.map(further))
-    return Crossing(other.region, where(some, f, everything(reach)))
+    f = positive(beam.beside(surface.beside(other)).map(further))
+    ahead = where(behind.id >= 0, f, everything(rim.reach))
+    return Crossing(outline_of(world, beam, behind, rim), ahead)

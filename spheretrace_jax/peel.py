@@ -10,7 +10,7 @@ from .camera import Ray
 from .halfplane import untouched
 from .intersect import perpendicular
 from .needs import Needs
-from .outlines import crossing, outline_of
+from .outlines import crossing, mean_surface, rim_of
 from .phases import keep, over
 from .varying import Varying
 from .vec import dot, norm, safe_sqrt, where
@@ -55,8 +55,9 @@ def peel(
                 shown.append(some & (found[k].hit.id >= 0))
                 some = shown[k] & ~found[k].covers_all
                 if needs.crossings:
-                    reach = outline_of(world, beam, found[k].hit, needs).reach
-                    cut = crossing(world, beam, found[k].hit, reach, found[k + 1].hit, needs)
+                    rim = rim_of(world, beam, found[k].hit, needs)
+                    surface = mean_surface(world, beam, found[k].hit, rim, needs)
+                    cut = crossing(world, beam, surface, found[k + 1].hit, needs)
                     some = some | shown[k] & ~untouched((cut.ahead,))
             layers = jax.tree.map(lambda a, b: jnp.stack([a, b]), *layers)
             return (found[1], some), (layers, jnp.stack(shown))
@@ -68,9 +69,14 @@ def peel(
 
         return lax.cond(jnp.any(state[1]), look, stop)
 
-    most = min(MOST_LAYERS, world.spheres + world.planes + 1)
-    layers = lax.scan(two_more, (start, alive), None, length=-(-most // 2))[1]
+    layers = lax.scan(two_more, (start, alive), None, length=most_layers(world) // 2)[1]
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), layers)
+
+
+def most_layers(world: World) -> int:
+    """How many layers are looked for: an even number, as two are found at once."""
+    most = min(MOST_LAYERS, world.spheres + world.planes + 1)
+    return most + most % 2
 
 
 def next_objects(

@@ -42,7 +42,7 @@ def unoccluded_part(
 
     Says the same as `visibility.unoccluded` where no edge runs through the pixel.
 
-    **Arguments:** `hit`: the objects that are lit. `reach`: as for `world.surface_at`. `visible`:
+    **Arguments:** `hit`: the objects that are lit. `reach`: as in `outlines.Rim`. `visible`:
     the half-planes of the pixel in all of which the object shows.
     """
     place = middle(*visible[:2])

@@ -9,10 +9,10 @@ from jax.sharding import NamedSharding
 from jaxtyping import Array, Float, Int
 
 from ._types import Highlight, Ids, Mask, Picture, Plane
+from .area import area_color
 from .camera import Ray, pixel_rays
 from .charts import TILE
 from .edges import pixel_cones
-from .layers import layered
 from .lists import lists
 from .marked import add_where
 from .needs import Needs
@@ -220,7 +220,7 @@ def area_seen(
     column, row = _position(pixels, options, left, top)
     size = options.width, options.height
     beam = pixel_beams(scene.camera, column, row, size, options.side)
-    return layered(scene, world, beam, options, alive)
+    return area_color(scene, world, beam, options, alive)
 
 
 def _position(pixels: Ids, options: Options, left: Array, top: Array) -> tuple[Plane, Plane]:

@@ -38,6 +38,10 @@ class Varying(eqx.Module, Generic[T]):
         # the three share most of their work, which would be done again for each of their users
         return keep(Varying(value, dx, dy))
 
+    def beside(self, other: "Varying[S]") -> "Varying[tuple[T, S]]":
+        """Two quantities as one."""
+        return Varying((self.value, other.value), (self.dx, other.dx), (self.dy, other.dy))
+
     def at(self, x: Plane, y: Plane) -> "Varying[T]":
         """The same seen from elsewhere in the pixel: x pixels to the right and y down."""
         wide = lambda v: jnp.broadcast_to(v, jnp.broadcast_shapes(v.shape, x.shape))

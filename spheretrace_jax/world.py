@@ -16,7 +16,7 @@ from .camera import Ray, view_frame
 from .intersect import perpendicular
 from .lists import Lists
 from .needs import Needs
-from .phases import fetch, fetch_own, smallest_int
+from .phases import fetch, fetch_own, keep, smallest_int
 from .scene import Scene
 from .vec import Vec, dot, norm, safe_sqrt, unit, vec, where
 
@@ -190,33 +190,47 @@ def _append(table: T, row: T) -> T:
     return jax.tree.map(lambda column, value: jnp.append(column, value), table, row)
 
 
-def surface_at(
-    world: World,
-    ray: Ray,
-    hit: Hit,
-    needs: Needs,
-    reach: Plane | None = None,
-) -> Surface:
+def surface_at(world: World, ray: Ray, hit: Hit, needs: Needs) -> Surface:
     """The point and normal at which rays meet the objects they are known to hit.
 
     With q the perpendicular from the ray to the centre and h half the chord, the hit point seen
     from the centre is w = -q - h D (from inside -q + h D): no root near zero is ever subtracted,
     so N = w/R is exact for the smallest and the largest sphere. It follows that N.V = h/R.
 
-    **Arguments:** `reach`: None for the hit of the ray itself. Else the mean surface of the part
-    of a pixel that the object covers, for rays that may just miss it: how far |q|, or for planes
-    D.N, varies from the pixel's centre to its border. Its normal is the mean of the normals, as
-    Lambert's term, being linear, needs it: of unit length unless the sphere is as small as the
-    pixel.
-
     **Returns:** a `Surface`; where a ray hits nothing its numbers are finite but mean nothing.
     """
     ball = world.ball(hit.id)
     _, q = perpendicular(ray.origin, ray.direction, ball.center)
-    if reach is None:
-        half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
-    else:
-        half_chord, q = mean_chord(q, ball.radius, reach)
+    half_chord = safe_sqrt(ball.radius * ball.radius - dot(q, q))
+    return _surface(world, ray, hit, needs, ball, q, half_chord, None)
+
+
+def mean_surface_at(
+    world: World, ray: Ray, q: Vec, hit: Hit, needs: Needs, reach: Plane
+) -> Surface:
+    """The mean surface of the part of a pixel that an object covers, for rays that may just miss.
+
+    Its normal is the mean of the normals, as Lambert's term, being linear, needs it: of unit length
+    unless the sphere is as small as the pixel.
+
+    **Arguments:** `q`: the perpendicular from the ray to the sphere's centre. `reach`: how far |q|,
+    or for planes D.N, varies from the pixel's centre to its border.
+    """
+    ball = world.ball(hit.id)
+    half_chord, q = mean_chord(q, ball.radius, reach)
+    return _surface(world, ray, hit, needs, ball, q, half_chord, reach)
+
+
+def _surface(
+    world: World,
+    ray: Ray,
+    hit: Hit,
+    needs: Needs,
+    ball: Ball,
+    q: Vec,
+    half_chord: Plane,
+    reach: Plane | None,
+) -> Surface:
     per_radius = world.curvature(hit.id)
     facing = half_chord * per_radius
     if needs.inside:
@@ -228,22 +242,21 @@ def surface_at(
         return on_sphere
     on_plane = _on_plane(world, ray, hit, reach)
     is_plane = hit.id >= world.spheres
-    return Surface(
-        where(is_plane, on_plane.point, on_sphere.point),
-        where(is_plane, on_plane.normal, on_sphere.normal),
-        jnp.where(is_plane, on_plane.facing, on_sphere.facing),
-    )
+    return where(is_plane, on_plane, on_sphere)
 
 
 def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
     """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere."""
-    outer = safe_sqrt(dot(q, q) + reach * reach)
-    rim = radius / jnp.where(outer > 0, outer, 1)
-    half_chord, q = mean_root(*chord_range(q, radius, reach)), q * jnp.minimum(rim, 1)
+    square = dot(q, q)
+    outer = safe_sqrt(square + reach * reach)
+    shrink = jnp.minimum(radius / jnp.where(outer > 0, outer, 1), 1)
+    half_chord = mean_root(*chord_range(q, radius, reach))
     # the mean of unit normals is no longer than 1: highlights of a longer one explode
-    length = safe_sqrt(dot(q, q) + half_chord * half_chord)
+    length = safe_sqrt(square * shrink * shrink + half_chord * half_chord)
     short = jnp.minimum(radius / jnp.where(length > 0, length, 1), 1)
-    return half_chord * short, q * short
+    # two numbers, kept: nine of a varying surface would each find them again
+    half_chord, shrink = keep((half_chord * short, shrink * short))
+    return half_chord, q * shrink
 
 
 def chord_range(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Plane]:

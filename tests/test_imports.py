@@ -16,9 +16,9 @@ FILES = {
 }
 
 CORE = """
-    _types appearance camera cells charts cost coverage edges errors grid halfplane intersect layers
-    lists marked needs options outlines paths peel penumbra phases possible radiance render scene
-    shading sharding texture varying vec visibility world
+    _types appearance area camera cells charts cost coverage edges errors grid halfplane
+    intersect layers lists marked needs options outlines paths peel penumbra phases possible
+    radiance render scene shading sharding texture varying vec visibility world
 """.split()
 OUTER = tuple(
     f"{PACKAGE}.{name}"
