@@ -44,24 +44,29 @@ def by_moments(layout: Layout, options: Options, lights: int) -> bool:
 
 def moments(
     basis: Float[Array, "*chunks size pixels"],
-    slope: Float[Array, "*chunks 3 pixels"],
-    residual: Float[Array, "*chunks 3 pixels"],
+    slope: list[Float[Array, "*chunks pixels"]],
+    residual: list[Float[Array, "*chunks pixels"]],
 ) -> Moments:
-    """The moments of some pixels. **Arguments:** `slope`: of the residual by the picture."""
+    """The moments of some pixels.
+
+    **Arguments:** `slope`: of the residual by the picture, channel by channel.
+    """
     size = basis.shape[-2]
+    row = lambda plane: plane[..., None, :]
     squared = lambda rows: rows @ jnp.swapaxes(rows, -1, -2)
 
     def each() -> Moments:
-        rows = slope[..., None, :] * basis[..., None, :, :]
-        return squared(jnp.concatenate([rows, residual[..., None, :]], axis=-2))
+        of = lambda s, r: squared(jnp.concatenate([row(s) * basis, row(r)], axis=-2))
+        return jnp.stack([of(s, r) for s, r in zip(slope, residual, strict=True)], axis=-3)
 
     def alike() -> Moments:
-        square = squared(jnp.concatenate([slope[..., :1, :] * basis, residual], axis=-2))
+        square = squared(jnp.concatenate([row(slope[0]) * basis, *map(row, residual)], axis=-2))
         at = [jnp.array([*range(size), size + c]) for c in range(3)]
         return jnp.stack([square[..., i[:, None], i[None, :]] for i in at], axis=-3)
 
     # where nothing is clipped or masked in some channels only, one product does
-    return lax.cond(jnp.all(slope == slope[..., :1, :]), alike, each)
+    same = (slope[1] == slope[0]) & (slope[2] == slope[0])
+    return lax.cond(jnp.all(same), alike, each)
 
 
 class Shading(eqx.Module):

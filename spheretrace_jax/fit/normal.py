@@ -226,14 +226,21 @@ def _add_still(normal: Normal, picture: _Picture) -> Normal:
             return black
         return black + background(scene, rays_through(scene, options, pixels, *at).direction)
 
-    def look(pixels: Ids, alive: Mask) -> Seen:
-        seen = picture.near(sky, picture.scene, picture.world, pixels, alive)
-        none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
-        return jnp.stack([seen.x, seen.y, seen.z]), none
+    def seen(pixels: Ids, alive: Mask) -> Float[Array, "3 pixels"]:
+        color = picture.near(sky, picture.scene, picture.world, pixels, alive)
+        return jnp.stack([color.x, color.y, color.z])
 
-    exposure = picture.layout.exposure
-    columns = jnp.zeros(0, jnp.int32) if exposure is None else jnp.asarray(exposure)
-    return picture.add(normal, STILL, columns, look, MOST)
+    def squared(squares: Array, pixels: Ids, alive: Mask, target: Target) -> Array:
+        return squares + target.residual(seen(pixels, alive).T[None], picture.exposure) ** 2
+
+    if picture.layout.exposure is None:
+        # added up place by place, and only then all: 9.4 ms, where 10.3 if chunk by chunk
+        start = jnp.zeros((1, MOST, 3), picture.scene.dtype)
+        cost = jnp.sum(picture.over(STILL, squared, start, MOST)) / 2
+        return eqx.tree_at(lambda n: n.cost, normal, normal.cost + cost)
+    none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
+    look = lambda pixels, alive: (seen(pixels, alive), none)
+    return picture.add(normal, STILL, jnp.asarray(picture.layout.exposure), look, MOST)
 
 
 def _add_single(normal: Normal, picture: _Picture) -> Normal:
@@ -283,11 +290,16 @@ def _add_moments(normal: Normal, picture: _Picture) -> Normal:
         target = picture.target_at(pixels, place < end[number][:, None])
         basis = shading(number).basis(pixels)
         factors = jax.vmap(lambda number: shading(number).factors())(number)
-        seen = jnp.swapaxes(factors @ basis[:, : factors.shape[2]], 1, 2)
+        # term by term: for a product of matrices, and channel by channel for `moments`, all of it
+        # would be copied (10.3 ms, not 11.3)
+        first, *terms = (
+            basis[:, k, :, None] * factors[:, None, :, k] for k in range(factors.shape[2])
+        )
+        seen = sum(terms, first)
         residual = target.residual(seen, picture.exposure)
         slope, _ = target.slopes(seen, picture.exposure)
-        swapped = (jnp.swapaxes(x, 1, 2) for x in (slope, residual))
-        return sums.at[number].add(moments(basis, *swapped))
+        split = lambda x: [x[..., c] for c in range(3)]
+        return sums.at[number].add(moments(basis, split(slope), split(residual)))
 
     def object_(number: Index, normal: Normal) -> Normal:
         added = shading(number).by_columns(sums[number])
