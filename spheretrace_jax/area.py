@@ -21,7 +21,7 @@ from .phases import retrace
 from .scene import Scene
 from .varying import Varying
 from .vec import Vec, zeros
-from .world import Hit, World
+from .world import Hit, Surface, World
 
 
 def area_color(
@@ -39,13 +39,16 @@ def area_color(
     one, zero = jnp.ones(shape, scene.dtype), jnp.zeros(shape, scene.dtype)
     no_hit = Hit(jnp.full(shape, -1, world.id_type), jnp.full(shape, False))
 
-    def mirrored(hit: Hit, shown: Mask, choice: Index) -> tuple[Varying[Ray], Hit, Plane]:
-        """The beam on from a layer, the hit that it starts from, and what is seen there counts."""
-        surface = mean_surface(world, beam, hit, rim_of(world, beam, hit, needs), needs)
-        beams = beam.beside(surface)
-        on = lambda both: onward(world, both[0], both[1], hit, shown, needs, choice)
-        path = on(beams.value)
-        return beams.map(lambda both: on(both).ray), path.hit, path.weight
+    def further(layer: Seen, choice: Index) -> tuple[Varying[Ray], Hit, Plane]:
+        """The beam on from a layer, the hit that it starts from, and what its colour counts."""
+
+        def on(both: tuple[Ray, Surface]) -> Path:
+            return onward(world, *both, layer.hit, layer.shown, needs, choice)
+
+        rim = rim_of(world, beam, layer.hit, needs)
+        both = beam.beside(mean_surface(world, beam, layer.hit, rim, needs))
+        path = on(both.value)
+        return both.map(lambda both: on(both).ray), path.hit, path.weight * layer.part
 
     def eye() -> tuple[Varying[Ray], Hit, Plane]:
         return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), beam), no_hit, one
@@ -62,11 +65,10 @@ def area_color(
 
         @retrace
         def see(color: Vec, layer: Seen) -> tuple[Vec, Seen]:
-            further = lambda: mirrored(layer.hit, layer.shown, choice)
-            this, leaving, weight = lax.cond(first, eye, further)
+            this, leaving, weight = lax.cond(first, eye, lambda: further(layer, choice))
             follow = jnp.asarray(number > 0) if options.bounces > 1 else None
             new, layers = layered(scene, world, this, later, on, leaving, follow)
-            return color + new * (weight * jnp.where(first, one, layer.part)), layers
+            return color + new * weight, layers
 
         color, layers = lax.cond(jnp.any(on), see, lambda color, _: (color, none), color, layer)
         return (color, jax.tree.map(lambda a, b: jnp.where(first, a, b), layers, seen)), None

@@ -14,7 +14,7 @@ from ._types import Plane
 from .halfplane import HalfPlane, positive, with_area
 from .phases import keep
 from .varying import Varying
-from .vec import Vec, cross, dot, safe_sqrt, unit
+from .vec import Vec, clamp, cross, dot, larger, safe_sqrt, smaller, unit
 
 # Where rounding is more than one part in this many of a parallelogram's area, as it is seen too
 # obliquely or is too small on the disc, it is cut by the straight edge R - |q| = 0 instead.
@@ -52,17 +52,17 @@ def half_plane(f: Plane, fx: Plane, fy: Plane) -> Plane:
     **Returns:** the area, 0..1, differentiable in all three.
     """
     fx, fy = jnp.abs(fx), jnp.abs(fy)
-    a, b = jnp.maximum(fx, fy), jnp.minimum(fx, fy)
+    a, b = larger(fx, fy), smaller(fx, fy)
     passes = jnp.abs(f) < 2 * a
     a = jnp.where(passes, a, 1)
     u = jnp.where(passes, f / a, jnp.where(f > 0, 2, -2).astype(f.dtype))
     # for smaller m the quotient below is rounding, and m no longer matters
-    m = jnp.maximum(jnp.where(passes, b / a, 0), (8 * float(jnp.finfo(f.dtype).eps)) ** 0.5)
+    m = larger(jnp.where(passes, b / a, 0), (8 * float(jnp.finfo(f.dtype).eps)) ** 0.5)
     low, high = u + 0.5 - m / 2, u + 0.5 + m / 2
-    ramp_low, ramp_high = jnp.clip(low, 0, 1), jnp.clip(high, 0, 1)
+    ramp_low, ramp_high = clamp(low, 0, 1), clamp(high, 0, 1)
     ramp = (ramp_high - ramp_low) * (ramp_high + ramp_low) / 2
-    above = jnp.maximum(high - 1, 0) - jnp.maximum(low - 1, 0)
-    return jnp.clip((ramp + above) / m, 0, 1)
+    above = larger(high - 1, 0) - larger(low - 1, 0)
+    return clamp((ramp + above) / m, 0, 1)
 
 
 def disc(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: Plane) -> Plane:
@@ -100,7 +100,7 @@ def disc(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: Plane) -> Plane:
     side_x = jnp.stack([xx, yx, -xx, -yx])
     side_y = jnp.stack([xy, yy, -xy, -yy])
     beyond = jnp.sum(_beyond_unit_circle(corner_x, corner_y, side_x, side_y), axis=0)
-    round_edge = jnp.clip(1 - beyond / jnp.where(thin, 1, area), 0, 1)
+    round_edge = clamp(1 - beyond / jnp.where(thin, 1, area), 0, 1)
     length = safe_sqrt(cx * cx + cy * cy)
     per_length = 1 / jnp.where(length > 0, length, 1)
     slope = lambda x, y: -(cx * x + cy * y) * per_length
@@ -113,18 +113,10 @@ def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
 
     **Arguments:** the side runs from (x, y) to (x + dx, y + dy).
     """
-    square = dx * dx + dy * dy
-    half = x * dx + y * dy
-    some = square > 0
-    per_square = 1 / jnp.where(some, square, 1)
-    middle = -half * per_square
-    apart = x * dy - y * dx  # from the centre to the side, times the side's length
-    chord = safe_sqrt(square - apart * apart) * per_square
     # the integrand vanishes where the side crosses the circle, so that moving these ends changes
     # nothing: without their derivatives no root is ever differentiated near 0
-    enter, leave = jax.lax.stop_gradient(
-        keep((jnp.clip(middle - chord, 0, 1), jnp.clip(middle + chord, 0, 1)))
-    )
+    enter, leave = keep(_inside_unit_circle(*jax.lax.stop_gradient((x, y, dx, dy))))
+    some = dx * dx + dy * dy > 0
 
     def stretch(start: Plane, end: Plane) -> Plane:
         ax, ay = x + start * dx, y + start * dy
@@ -136,3 +128,13 @@ def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
         return jnp.where(empty, 0, (turned - angle) / 2)
 
     return stretch(jnp.zeros_like(enter), enter) + stretch(leave, jnp.ones_like(leave))
+
+
+def _inside_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> tuple[Plane, Plane]:
+    """Where a side enters and leaves the unit circle, 0..1 of its length."""
+    square = dx * dx + dy * dy
+    per_square = 1 / jnp.where(square > 0, square, 1)
+    middle = -(x * dx + y * dy) * per_square
+    apart = x * dy - y * dx  # from the centre to the side, times the side's length
+    chord = safe_sqrt(square - apart * apart) * per_square
+    return jnp.clip(middle - chord, 0, 1), jnp.clip(middle + chord, 0, 1)

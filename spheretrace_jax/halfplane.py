@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ._types import Index, Mask, Plane
 from .phases import keep, over
 from .varying import Varying
-from .vec import safe_sqrt
+from .vec import larger, safe_sqrt, smaller
 
 # The box's half diagonal is 0.71: a line this far away does not cut it.
 _FAR = 1.0
@@ -62,8 +62,9 @@ def with_area(part: Plane, x: Plane, y: Plane) -> HalfPlane:
     some = square > float(jnp.finfo(square.dtype).tiny) ** 0.5
     per_length = jnp.where(some, 1 / jnp.sqrt(jnp.where(some, square, 1)), 0)
     right, down = jnp.where(some, x * per_length, 1), jnp.where(some, y * per_length, 0)
-    a, b = jnp.maximum(jnp.abs(right), jnp.abs(down)), jnp.minimum(jnp.abs(right), jnp.abs(down))
-    less = jnp.minimum(part, 1 - part)
+    across, along = jnp.abs(right), jnp.abs(down)
+    a, b = larger(across, along), smaller(across, along)
+    less = smaller(part, 1 - part)
     cuts_corner = 2 * a * less < b
     corner = safe_sqrt(jnp.where(cuts_corner, 2 * a * b * less, 0)) - (a + b) / 2
     middle = a * (less - 0.5)

@@ -29,7 +29,7 @@ from .radiance import followed
 from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
-from .vec import Vec, dot, where, zeros
+from .vec import Vec, clamp, dot, larger, smaller, where, zeros
 from .world import Hit, Surface, World, chord_range, mean_root
 
 #: Outlines in front of a layer that are cut out of it: those next before it.
@@ -92,8 +92,8 @@ def layered(
                 part = part - inside
                 visible = (*visible, cut.ahead)
                 behind = where(inside > outside, ~cut.ahead, behind)
-                given_next = jnp.minimum(inside, outside)
-            part = only(jnp.where(last, left, jnp.clip(part, 0, left)))
+                given_next = smaller(inside, outside)
+            part = only(jnp.where(last, left, clamp(part, 0, left)))
             seen = layer_color(
                 scene, world, beam, layer.hit, rim, surface, visible, options, shown, follow
             )
@@ -128,7 +128,7 @@ def layer_color(
     """The mean colour of the part of a pixel in which a layer is visible."""
     needs, ray, surface = options.needs, beam.value, varies.value
     terms = partial(_terms, world, beam, hit, rim, varies, visible, options)
-    sums = light_sums(scene, hit.id.shape, needs, terms)
+    sums = keep(light_sums(scene, hit.id.shape, needs, terms))
     color = local_color(scene, world, hit, surface, needs, sums)
     if follow is None:
         return color
@@ -214,10 +214,10 @@ def _mean_lambert(
     slope = -dot(ray.direction, to_light) / radius
     h = mean_root(low, high) - cosine / jnp.where(slope == 0, 1, slope)
     # the integrand vanishes there, so that moving it changes nothing
-    zero = lax.stop_gradient(jnp.clip(h, low, high))
+    zero = jnp.clip(*lax.stop_gradient((h, low, high)))
     start, end = jnp.where(slope > 0, zero, low), jnp.where(slope > 0, high, zero)
     whole = high * high - low * low
     mixed = (hit.id < world.spheres) & (low < zero) & (zero < high) & (slope != 0)
     lit = (end * end - start * start) / jnp.where(mixed, whole, 1)
     mean = cosine + slope * (mean_root(start, end) - mean_root(low, high))
-    return jnp.where(mixed, lit * mean, jnp.maximum(cosine, 0))
+    return jnp.where(mixed, lit * mean, larger(cosine, 0))

@@ -121,6 +121,26 @@ def safe_sqrt(square: Plane) -> Plane:
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
 
 
+def larger(a: Plane, b: Plane | float | int) -> Plane:
+    """max(a, b), with the derivative of the larger one, of `b` where they are equal.
+
+    jax's own `maximum` gives its derivative to what equals the maximum. XLA computes numbers again
+    where they are used, and rounds them otherwise where it joins multiplications with additions:
+    then neither is equal, and the derivative vanishes, in some pixels, without a word.
+    """
+    return jnp.where(a > b, a, b)
+
+
+def smaller(a: Plane, b: Plane | float | int) -> Plane:
+    """min(a, b), with the derivative of the smaller one, of `a` where equal; see `larger`."""
+    return jnp.where(a > b, b, a)
+
+
+def clamp(x: Plane, low: Plane | float | int, high: Plane | float | int) -> Plane:
+    """`x` within bounds, with derivative 0 beyond them; see `larger`."""
+    return smaller(larger(x, low), high)
+
+
 def where(mask: Mask, a: T, b: T) -> T:
     """Per pixel `a` where the mask holds, else `b`: `Vec`s, or any other pytrees of planes."""
     return jax.tree.map(lambda x, y: jnp.where(mask, x, y), a, b)

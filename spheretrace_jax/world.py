@@ -18,7 +18,7 @@ from .lists import Lists
 from .needs import Needs
 from .phases import fetch, fetch_own, keep, smallest_int
 from .scene import Scene
-from .vec import Vec, dot, norm, safe_sqrt, unit, vec, where
+from .vec import Vec, dot, larger, norm, safe_sqrt, smaller, unit, vec, where
 
 T = TypeVar("T")
 
@@ -249,11 +249,11 @@ def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
     """The mean of half the chord, and of q, over |q| +- reach as far as it is inside the sphere."""
     square = dot(q, q)
     outer = safe_sqrt(square + reach * reach)
-    shrink = jnp.minimum(radius / jnp.where(outer > 0, outer, 1), 1)
+    shrink = smaller(radius / jnp.where(outer > 0, outer, 1), 1)
     half_chord = mean_root(*chord_range(q, radius, reach))
     # the mean of unit normals is no longer than 1: highlights of a longer one explode
     length = safe_sqrt(square * shrink * shrink + half_chord * half_chord)
-    short = jnp.minimum(radius / jnp.where(length > 0, length, 1), 1)
+    short = smaller(radius / jnp.where(length > 0, length, 1), 1)
     # two numbers, kept: nine of a varying surface would each find them again
     half_chord, shrink = keep((half_chord * short, shrink * short))
     return half_chord, q * shrink
@@ -262,10 +262,10 @@ def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
 def chord_range(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Plane]:
     """The least and the largest half chord over |q| +- reach, as far as it is inside the sphere."""
     length, square = norm(q), radius * radius
-    near, far = jnp.maximum(length - reach, 0), length + reach
+    near, far = larger(length - reach, 0), length + reach
     # a pixel that only its corner touches has a little of the rim
-    least = 0.1 * radius * jnp.minimum(reach, radius)
-    return safe_sqrt(square - far * far), safe_sqrt(jnp.maximum(square - near * near, least))
+    least = 0.1 * radius * smaller(reach, radius)
+    return safe_sqrt(square - far * far), safe_sqrt(larger(square - near * near, least))
 
 
 def mean_root(low: Plane, high: Plane) -> Plane:
@@ -283,8 +283,8 @@ def _on_plane(world: World, ray: Ray, hit: Hit, reach: Plane | None) -> Surface:
     away = dot(flat.point - ray.origin, flat.normal)
     if reach is not None:  # the mean of the slopes that meet the plane
         side = jnp.where(away < 0, -1, 1).astype(slope.dtype)
-        low = jnp.maximum(slope * side - reach, 0)
-        slope = side * (low + jnp.maximum(slope * side + reach, 0.1 * reach)) / 2
+        low = larger(slope * side - reach, 0)
+        slope = side * (low + larger(slope * side + reach, 0.1 * reach)) / 2
     crosses = (slope != 0) & (hit.id >= world.spheres)
     t = away / jnp.where(crosses, slope, 1)
     point = ray.origin + ray.direction * jnp.where(crosses, t, 0)

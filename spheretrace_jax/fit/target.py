@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._types import Picture
 from ..errors import InputError, PictureError
+from ..vec import larger
 
 # White in 8 and 16 bits is read as 1, give or take the rounding of the conversion to linear light;
 # the next number below it in 16 bits is 1 - 3e-5.
@@ -95,7 +96,7 @@ class Target(eqx.Module):
         k = self.noise * _THRESHOLDS[self.loss]
         x = jnp.abs(r) / k
         if self.loss == "huber":
-            bent = jnp.sqrt(2 * jnp.maximum(x, 1) - 1)
+            bent = jnp.sqrt(2 * larger(x, 1) - 1)
             return jnp.where(x <= 1, r, jnp.sign(r) * k * bent)
         # smaller ones are their own: their squares may underflow, where the root has no slope
         some = x > jnp.sqrt(jnp.finfo(x.dtype).eps)
