@@ -1,7 +1,8 @@
 """What rays see: their first hits, and what their paths see from the first bounce on.
 
 Each bounce has two halves. The discrete one finds, without derivatives, which objects are met; the
-smooth one follows the path along these and adds their colours (`paths.py`).
+smooth one follows the path along these and adds their colours (`paths.py`). Of a few paths, those of
+pixels with edges, both are done at once (`followed`).
 """
 
 import math
@@ -68,9 +69,10 @@ def radiance(
 def followed(scene: Scene, world: World, path: Path, options: Options) -> Vec:
     """What a few paths see from where they are, bounce by bounce; 0 where there are none.
 
-    Other than in `radiance` each does all of its work at once: a third of it to compile.
+    `radiance` finds all hits first, as paths are many and few go on; to do the work of each bounce
+    at once is a third as much to compile.
 
-    **Arguments:** `path`: those that leave the hits that they have.
+    **Arguments:** `path`: just after a hit, which it leaves.
     """
     needs = options.needs
 
