@@ -1,8 +1,8 @@
 """What rays see: their first hits, and what their paths see from the first bounce on.
 
 Each bounce has two halves. The discrete one finds, without derivatives, which objects are met; the
-smooth one follows the path along these and adds their colours (`paths.py`). Of a few paths, those of
-pixels with edges, both are done at once (`followed`).
+smooth one follows the path along these and adds their colours (`paths.py`). Of the few paths of
+pixels with edges both are done at once (`followed`).
 """
 
 import math
