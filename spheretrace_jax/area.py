@@ -20,7 +20,7 @@ from .peel import most_layers
 from .phases import retrace
 from .scene import Scene
 from .varying import Varying
-from .vec import Vec, zeros
+from .vec import Vec, where, zeros
 from .world import Hit, Surface, World
 
 
@@ -58,7 +58,7 @@ def area_color(
     # shadows, where two copies take 6.0 and 11; gradients take a tenth longer for it)
     def look(state: tuple[Vec, Seen], number: Index) -> tuple[tuple[Vec, Seen], None]:
         color, seen = state
-        first, behind = number == 0, jnp.maximum(number - 1, 0)
+        first, behind = jnp.asarray(number == 0), jnp.maximum(number - 1, 0)
         layer, choice = seen.layer(behind // ways), behind % ways
         path = Path(beam.value, layer.hit, one, layer.shown, None)
         on = jnp.where(first, alive, goes_on(world, path, needs, choice))
@@ -66,12 +66,12 @@ def area_color(
         @retrace
         def see(color: Vec, layer: Seen) -> tuple[Vec, Seen]:
             this, leaving, weight = lax.cond(first, eye, lambda: further(layer, choice))
-            follow = jnp.asarray(number > 0) if options.bounces > 1 else None
+            follow = ~first if options.bounces > 1 else None
             new, layers = layered(scene, world, this, later, on, leaving, follow)
             return color + new * weight, layers
 
         color, layers = lax.cond(jnp.any(on), see, lambda color, _: (color, none), color, layer)
-        return (color, jax.tree.map(lambda a, b: jnp.where(first, a, b), layers, seen)), None
+        return (color, where(first, layers, seen)), None
 
     most = most_layers(world)
     row = Seen(no_hit, jnp.full(shape, False), zero)

@@ -50,7 +50,7 @@ def radiance(
     **Arguments:** `cone`: how wide the pixels are, None to look for no edges, which are looked for
     at the first two hits.
     """
-    hit = nearest(world, ray, options.needs, None)
+    hit = nearest(world, ray, options.needs)
     one = jnp.ones_like(ray.direction.x)
     first = Path(ray, hit, one, jnp.full(one.shape, True), cone)
     edge = jnp.full(one.shape, False)
