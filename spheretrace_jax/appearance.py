@@ -5,15 +5,18 @@ from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ._types import Plane
 from .needs import Needs
-from .phases import UNROLL
 from .scene import Scene
 from .texture import lookup, other_square, sphere_uv, worn
 from .vec import Vec, grey, vec, where
 from .world import Hit, Surface, World
+
+#: Of more lights a loop is made rather than the same written out again.
+MOST_LIGHTS = 4
 
 
 def light_sums(
@@ -21,11 +24,12 @@ def light_sums(
     shape: tuple[int, ...],
     needs: Needs,
     terms: Callable[[Vec, bool], tuple[Plane, Plane]],
+    most: int = MOST_LIGHTS,
 ) -> tuple[Vec, Vec]:
     """Over all lights the sums of C_l lit_l (N.L_l) and of C_l lit_l highlight_l.
 
     **Arguments:** `terms`: lit N.L and lit highlight of `shape` for a light at a given position,
-    where objects may stand in its way or not.
+    where objects may stand in its way or not. `most`: of more lights than these a loop is made.
     """
     lights = scene.lights
     # of white light one sum does for red, green and blue
@@ -39,13 +43,16 @@ def light_sums(
         return (sums[0] + color * diffuse, sums[1] + color * shine), None
 
     sums: tuple[Any, Any] = (dark, dark)
-    if len(lights) > UNROLL // 4:
-        add = partial(add_light, shadows=needs.shadows)
-        sums, _ = lax.scan(add, sums, (lights.position, lights.color))
-    else:
+    if len(lights) <= most:
         for i in range(len(lights)):
             light = lights.position[i], lights.color[i]
             sums, _ = add_light(sums, light, needs.shadows_of(i))
+    else:
+        for shadows in (False, True):
+            alike = [i for i in range(len(lights)) if needs.shadows_of(i) == shadows]
+            if alike:
+                light = lights.position[np.array(alike)], lights.color[np.array(alike)]
+                sums, _ = lax.scan(partial(add_light, shadows=shadows), sums, light)
     return sums if needs.tinted else (grey(sums[0]), grey(sums[1]))
 
 

@@ -35,6 +35,15 @@ class HalfPlane(eqx.Module):
         return HalfPlane(-self.right, -self.down, -self.offset)
 
 
+class Polygon(eqx.Module):
+    """What half-planes have in common in the box."""
+
+    sides: tuple[HalfPlane, ...]
+    area: Plane  #: 0..1
+    x: Plane  #: the middle's place, without derivatives; the box's, if there is nothing
+    y: Plane
+
+
 def everything(like: Plane) -> HalfPlane:
     """A half-plane that holds all of the box."""
     return HalfPlane(jnp.ones_like(like), jnp.zeros_like(like), jnp.full_like(like, _FAR))
@@ -89,60 +98,55 @@ def _beyond(inside: Mask, like: Plane) -> Plane:
 
 
 def common_area(*half_planes: HalfPlane) -> Plane:
-    """The part of the box that lies in all of some half-planes, 0..1.
+    """The part of the box that lies in all of some half-planes, 0..1."""
+    return common(*half_planes).area
 
-    By Green's theorem half the sum, over the lines that bound it, of the length of the line's piece
-    times its distance from the centre; each piece is what is left of the line between all others
-    (Liang, Barsky, "A New Concept and Method for Line Clipping", ACM TOG 3, 1984).
+
+def common(*half_planes: HalfPlane) -> Polygon:
+    """What of the box lies in all of some half-planes.
+
+    By Green's theorem its area is half the sum, over the lines that bound it, of the length of the
+    line's piece times its distance from the centre; each piece is what is left of the line between
+    all others (Liang, Barsky, "A New Concept and Method for Line Clipping", ACM TOG 3, 1984).
     """
-    return _area(*_stacked(half_planes))
-
-
-def middle(*half_planes: HalfPlane) -> tuple[Plane, Plane]:
-    """The centroid of what half-planes have in common, without derivatives; the box's, if nothing.
-
-    The triangle between the centre and a piece of a line has its own two thirds of the way out.
-    """
-    right, down, offset = jax.lax.stop_gradient(_stacked(half_planes))
-    length, x, y = _pieces(right, down, offset)
-    sides = jnp.full_like(length[-4:], 0.5)
-    area = length * jnp.concatenate([offset, sides]) / 2
-    total = area.sum(0)
-    some = total > jnp.finfo(total.dtype).eps
-    per_total = jnp.where(some, 1 / jnp.where(some, total, 1), 0) * (2 / 3)
-    return jnp.sum(area * x, axis=0) * per_total, jnp.sum(area * y, axis=0) * per_total
-
-
-def _stacked(half_planes: tuple[HalfPlane, ...]) -> tuple[Array, Array, Array]:
     names = ("right", "down", "offset")
-    right, down, offset = (
+    lines = (
         jnp.stack(jnp.broadcast_arrays(*(getattr(h, name) for h in half_planes))) for name in names
     )
-    return right, down, offset
+    return Polygon(half_planes, *_area_and_middle(*lines))
 
 
 @jax.custom_jvp
-def _area(
+def _area_and_middle(
     right: Float[Array, "lines *pixels"],
     down: Float[Array, "lines *pixels"],
     offset: Float[Array, "lines *pixels"],
-) -> Plane:
-    return _area_of(offset, _pieces(right, down, offset)[0])
+) -> tuple[Plane, Plane, Plane]:
+    return _sums(offset, *_pieces(right, down, offset))
 
 
-def _area_of(offset: Array, length: Array) -> Plane:
-    sides = length[-4:].sum(0) * 0.5
-    return jnp.clip(((offset * length[:-4]).sum(0) + sides) / 2, 0, 1)
-
-
-@_area.defjvp
-def _area_jvp(primals, tangents):
+@_area_and_middle.defjvp
+def _area_and_middle_jvp(primals, tangents):
     # Where a line moves outwards, the area grows by the length of its piece: no quotient of small
     # numbers, as two nearly parallel lines make them, is ever differentiated.
     length, x, y = _pieces(*primals)
     right, down, offset = tangents
     grows = (length[:-4] * (offset + right * x[:-4] + down * y[:-4])).sum(0)
-    return _area_of(primals[2], length), grows
+    still = jnp.zeros_like(grows)
+    return _sums(primals[2], length, x, y), (grows, still, still)
+
+
+def _sums(offset: Array, length: Array, x: Array, y: Array) -> tuple[Plane, Plane, Plane]:
+    """Area and middle, from each line's piece.
+
+    The triangle between the centre and a piece has its own middle two thirds of the way out.
+    """
+    sides = jnp.full_like(length[-4:], 0.5)
+    parts = length * jnp.concatenate([offset, sides]) / 2
+    area = parts.sum(0)
+    some = area > jnp.finfo(area.dtype).eps
+    out = jnp.where(some, 1 / jnp.where(some, area, 1), 0) * (2 / 3)
+    return jnp.clip(area, 0, 1), (parts * x).sum(0) * out, (parts * y).sum(0) * out
 
 
 def _pieces(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Array]:

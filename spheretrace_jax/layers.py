@@ -17,7 +17,7 @@ from ._types import Index, Mask, Plane
 from .appearance import background, light_sums, local_color
 from .camera import Ray, unit_ray
 from .coverage import half_plane
-from .halfplane import HalfPlane, common_area, everything, untouched
+from .halfplane import Polygon, common, common_area, everything, untouched
 from .needs import Needs
 from .options import Options
 from .outlines import Rim, crossing, mean_surface, outline_of, rim_of
@@ -81,16 +81,16 @@ def layered(
             own = keep(outline_of(world, beam, layer.hit, rim))
             surface = mean_surface(world, beam, layer.hit, rim, needs)
             given_next = jnp.zeros_like(left)
-            visible, behind = (own.edge, *fronts), ~own.edge
-            part = jnp.where(untouched(fronts), own.part, common_area(*visible)) + given
+            visible, behind = common(own.edge, *fronts), ~own.edge
+            part = jnp.where(untouched(fronts), own.part, visible.area) + given
             if layer.behind is not None:
                 cut = keep(crossing(world, beam, surface, layer.behind, needs))
                 # the next one shows outside this outline or beyond the cut: of the two half-planes
                 # that which holds more of it stands for both, and the rest is given to it
-                inside = common_area(*visible, cut.region.edge, ~cut.ahead)
+                inside = common_area(*visible.sides, cut.region.edge, ~cut.ahead)
                 outside = common_area(~own.edge, *fronts, cut.region.edge, cut.ahead)
                 part = part - inside
-                visible = (*visible, cut.ahead)
+                visible = common(*visible.sides, cut.ahead)
                 behind = where(inside > outside, ~cut.ahead, behind)
                 given_next = smaller(inside, outside)
             part = only(jnp.where(last, left, clamp(part, 0, left)))
@@ -120,7 +120,7 @@ def layer_color(
     hit: Hit,
     rim: Rim,
     varies: Varying[Surface],
-    visible: tuple[HalfPlane, ...],
+    visible: Polygon,
     options: Options,
     alive: Mask,
     follow: Bool[Array, ""] | None,
@@ -128,7 +128,7 @@ def layer_color(
     """The mean colour of the part of a pixel in which a layer is visible."""
     needs, ray, surface = options.needs, beam.value, varies.value
     terms = partial(_terms, world, beam, hit, rim, varies, visible, options)
-    sums = keep(light_sums(scene, hit.id.shape, needs, terms))
+    sums = keep(light_sums(scene, hit.id.shape, needs, terms, most=1))
     color = local_color(scene, world, hit, surface, needs, sums)
     if follow is None:
         return color
@@ -167,7 +167,7 @@ def _terms(
     hit: Hit,
     rim: Rim,
     varies: Varying[Surface],
-    visible: tuple[HalfPlane, ...],
+    visible: Polygon,
     options: Options,
     light: Vec,
     shadows: bool,

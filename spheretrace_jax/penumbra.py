@@ -11,7 +11,7 @@ from jax import lax
 from ._types import Ids, Mask, Plane
 from .camera import Ray, unit_ray
 from .coverage import disc_region
-from .halfplane import HalfPlane, common_area, everything, middle, positive
+from .halfplane import HalfPlane, Polygon, common_area, everything, positive
 from .intersect import perpendicular
 from .marked import fill
 from .needs import Needs
@@ -33,7 +33,7 @@ def unoccluded_part(
     world: World,
     beam: Varying[Ray],
     reach: Plane,
-    visible: tuple[HalfPlane, ...],
+    visible: Polygon,
     hit: Hit,
     light: Vec,
     needs: Needs,
@@ -43,9 +43,9 @@ def unoccluded_part(
     Says the same as `visibility.unoccluded` where no edge runs through the pixel.
 
     **Arguments:** `hit`: the objects that are lit. `reach`: as in `outlines.Rim`. `visible`:
-    the half-planes of the pixel in all of which the object shows.
+    what of the pixel the object shows in.
     """
-    place = middle(*visible[:2])
+    place = visible.x, visible.y
     blocked, edges = _occluders(world, beam, reach, place, hit, light, needs)
 
     count, number = reach.size, jnp.concatenate(edges)
@@ -65,9 +65,9 @@ def unoccluded_part(
         anywhere = everything(jnp.ones_like(number, reach.dtype))
         bright = fill(anywhere, number >= 0, outside, -(-count // GROUPS))
         bright = [jax.tree.map(lambda x, k=k: x[k * count :][:count], bright) for k in range(EDGES)]
-        area = common_area(*visible)
-        some = (edges[0] >= 0) & (area > jnp.finfo(area.dtype).eps)
-        return jnp.where(some, common_area(*visible, *bright) / jnp.where(some, area, 1), 1)
+        some = (edges[0] >= 0) & (visible.area > jnp.finfo(reach.dtype).eps)
+        lit = common_area(*visible.sides, *bright)
+        return jnp.where(some, lit / jnp.where(some, visible.area, 1), 1)
 
     part = lax.cond(jnp.any(edges[0] >= 0), cut, lambda: jnp.ones_like(reach))
     return jnp.where(blocked, 0, part)

@@ -56,6 +56,15 @@ def test_pictures_come_near_the_truth():
     assert one < point / 10
 
 
+def test_shadows_of_several_lights_come_near_the_truth():
+    lights = st.Lights([[200.0, 300, 500], [0, 0, 1e5], [-300, 200, 300]], np.full((3, 3), 0.5))
+    scene = eqx.tree_at(lambda s: s.lights, three_spheres(), lights)
+    truth, point = (rays(scene, samples, **SIZE) for samples in (64, 1))
+    one = st.render(scene.with_antialias(1), **SIZE)
+    assert off(one, truth) < 0.01
+    assert off(one, truth) < off(point, truth) / 10
+
+
 @pytest.mark.slow
 def test_more_samples_come_nearer_to_the_truth():
     scene = three_spheres()

@@ -48,13 +48,13 @@ def test_the_middle_is_the_mean_of_the_places_inside():
     half_planes = random_ones(3)
     within = inside(half_planes)
     area = within.mean((1, 2))
-    x, y = halfplane.middle(*half_planes)
+    found = halfplane.common(*half_planes)
     large = area > 0.02
     assert large.sum() > 20
-    for found, place in ((x, X), (y, Y)):
+    for middle, place in ((found.x, X), (found.y, Y)):
         mean = (within * place).mean((1, 2))[large] / area[large]
-        np.testing.assert_allclose(found[large], mean, atol=3e-3)
-    np.testing.assert_array_equal(x[area == 0], 0)
+        np.testing.assert_allclose(middle[large], mean, atol=3e-3)
+    np.testing.assert_array_equal(found.x[area == 0], 0)
 
 
 @FLOATS

@@ -14,10 +14,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..appearance import light_sums, local_color
+from ..appearance import MOST_LIGHTS, light_sums, local_color
 from ..options import Options
 from ..paths import light_terms_at
-from ..phases import UNROLL
 from ..render import rays_through, sample_places
 from ..scene import Scene
 from ..vec import vec, zeros
@@ -39,7 +38,7 @@ def by_moments(layout: Layout, options: Options, lights: int) -> bool:
     fixed = not GEOMETRY & {*layout.spheres, *layout.camera} and layout.exposure is None
     plain = not options.needs.textures and not options.needs.checkers
     rays = not options.antialias and options.samples == 1
-    return fixed and plain and rays and lights <= UNROLL // 4
+    return fixed and plain and rays and lights <= MOST_LIGHTS
 
 
 def moments(
