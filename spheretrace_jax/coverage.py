@@ -115,7 +115,7 @@ def _beyond_unit_circle(x: Plane, y: Plane, dx: Plane, dy: Plane) -> Plane:
     """
     # the integrand vanishes where the side crosses the circle, so that moving these ends changes
     # nothing: without their derivatives no root is ever differentiated near 0
-    enter, leave = keep(_inside_unit_circle(*jax.lax.stop_gradient((x, y, dx, dy))))
+    enter, leave = _inside_unit_circle(*jax.lax.stop_gradient((x, y, dx, dy)))
     some = dx * dx + dy * dy > 0
 
     def stretch(start: Plane, end: Plane) -> Plane:

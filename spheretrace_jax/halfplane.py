@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ._types import Index, Mask, Plane
-from .phases import keep, over
+from .phases import over
 from .varying import Varying
 from .vec import larger, safe_sqrt, smaller
 
@@ -113,7 +113,8 @@ def common(*half_planes: HalfPlane) -> Polygon:
     lines = (
         jnp.stack(jnp.broadcast_arrays(*(getattr(h, name) for h in half_planes))) for name in names
     )
-    return Polygon(half_planes, *_area_and_middle(*lines))
+    area, x, y = _area_and_middle(*lines)
+    return Polygon(half_planes, area, *lax.stop_gradient((x, y)))
 
 
 @jax.custom_jvp
@@ -156,8 +157,6 @@ def _pieces(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Arr
     right = jnp.concatenate([right, *sides(1, -1, 0, 0)])
     down = jnp.concatenate([down, *sides(0, 0, 1, -1)])
     offset = jnp.concatenate([offset, *sides(0.5, 0.5, 0.5, 0.5)])
-    # known once, not computed again in every pass of the loop
-    right, down, offset = keep((right, down, offset))
     count = right.shape[0]
     number = jnp.arange(count, dtype=jnp.int32).reshape(count, *(1,) * (right.ndim - 1))
 

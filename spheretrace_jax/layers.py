@@ -30,7 +30,7 @@ from .scene import Scene
 from .shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
 from .varying import Varying
 from .vec import Vec, clamp, dot, larger, smaller, where, zeros
-from .world import Hit, Surface, World, chord_range, mean_root
+from .world import Hit, Surface, World, chord_range, mean_root, mean_surface_at
 
 #: Outlines in front of a layer that are cut out of it: those next before it.
 FRONTS = 3
@@ -79,11 +79,11 @@ def layered(
         def see(color: Vec, left: Plane, given: Plane, fronts: tuple) -> tuple:
             rim = rim_of(world, beam, layer.hit, needs)
             own = keep(outline_of(world, beam, layer.hit, rim))
-            surface = mean_surface(world, beam, layer.hit, rim, needs)
             given_next = jnp.zeros_like(left)
             visible, behind = common(own.edge, *fronts), ~own.edge
             part = jnp.where(untouched(fronts), own.part, visible.area) + given
             if layer.behind is not None:
+                surface = mean_surface(world, beam, layer.hit, rim, needs)
                 cut = keep(crossing(world, beam, surface, layer.behind, needs))
                 # the next one shows outside this outline or beyond the cut: of the two half-planes
                 # that which holds more of it stands for both, and the rest is given to it
@@ -94,9 +94,7 @@ def layered(
                 behind = where(inside > outside, ~cut.ahead, behind)
                 given_next = smaller(inside, outside)
             part = only(jnp.where(last, left, clamp(part, 0, left)))
-            seen = layer_color(
-                scene, world, beam, layer.hit, rim, surface, visible, options, shown, follow
-            )
+            seen = layer_color(scene, world, beam, layer.hit, rim, visible, options, shown, follow)
             color = color + where(shown, seen * part, zeros(part.shape, part.dtype))
             behind = where(shown, behind, everything(part))
             return (color, left - part, only(given_next), (behind, *fronts[:-1])), part
@@ -119,15 +117,15 @@ def layer_color(
     beam: Varying[Ray],
     hit: Hit,
     rim: Rim,
-    varies: Varying[Surface],
     visible: Polygon,
     options: Options,
     alive: Mask,
     follow: Bool[Array, ""] | None,
 ) -> Vec:
     """The mean colour of the part of a pixel in which a layer is visible."""
-    needs, ray, surface = options.needs, beam.value, varies.value
-    terms = partial(_terms, world, beam, hit, rim, varies, visible, options)
+    needs, ray = options.needs, beam.value
+    surface = mean_surface_at(world, ray, rim.q.value, hit, needs, rim.reach)
+    terms = partial(_terms, world, beam, hit, rim, surface, visible, options)
     sums = keep(light_sums(scene, hit.id.shape, needs, terms, most=1))
     color = local_color(scene, world, hit, surface, needs, sums)
     if follow is None:
@@ -166,7 +164,7 @@ def _terms(
     beam: Varying[Ray],
     hit: Hit,
     rim: Rim,
-    varies: Varying[Surface],
+    surface: Surface,
     visible: Polygon,
     options: Options,
     light: Vec,
@@ -178,7 +176,7 @@ def _terms(
 
     **Arguments:** `shadows`: whether objects may stand in the light's way.
     """
-    needs, ray, surface = options.needs, beam.value, varies.value
+    needs, ray = options.needs, beam.value
     to_light = toward_light(surface, light)
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
@@ -189,7 +187,11 @@ def _terms(
         return diffuse, jnp.zeros_like(diffuse)
 
     def front() -> Plane:
-        f = varies.map(lambda surface: lambert(surface, toward_light(surface, light)))
+        def cosine(both: tuple[Ray, Vec]) -> Plane:
+            surface = mean_surface_at(world, *both, hit, needs, rim.reach)
+            return lambert(surface, toward_light(surface, light))
+
+        f = beam.beside(rim.q).map(cosine)
         return half_plane(f.value, f.dx, f.dy)
 
     abrupt = lit & ends_abruptly(options.highlight, to_light, ray.direction)

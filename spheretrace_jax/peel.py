@@ -47,7 +47,7 @@ def peel(
 
     def two_more(state: tuple[Found, Mask], _: None) -> tuple:
         def look() -> tuple:
-            found = keep(next_objects(world, beam, needs, state[0], leaving))
+            found = next_objects(world, beam, needs, state[0], leaving)
             layers, shown, some = [], [], state[1]
             for k in range(2):
                 behind = found[k + 1].hit if needs.crossings else None

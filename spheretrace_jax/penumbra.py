@@ -98,7 +98,7 @@ def _bound(
 ) -> _Bound:
     """What bounds the shadow of one object, as its derivatives at a place in the pixel say."""
     x, y = place
-    ball = keep(world.ball(number))
+    ball = world.ball(number)
     radius = jnp.where(ball.radius > 0, ball.radius, 1)
     there = beam.at(x, y).map(lambda ray: surface_at(world, unit_ray(ray), hit, needs).point)
     q = there.map(lambda p: _from_light(p, light, ball.center)[1])
@@ -127,7 +127,7 @@ def _shadow(
         """Where the edge runs, and whether to take it as straight."""
         here = _bound(world, beam, place, hit, number, light, needs)
         small = here.radius < 2 * jnp.maximum(norm(here.q.dx), norm(here.q.dy))
-        zero, near_rim = keep(_where_zero(world, beam, reach, place, hit, here.f))
+        zero, near_rim = _where_zero(world, beam, reach, place, hit, here.f)
         there = _bound(world, beam, zero, hit, number, light, needs)
         # seen from the edge, the place is on the side that it is on, but for wild mirrors
         agree = there.f.at(*place).value * here.f.at(*place).value > 0

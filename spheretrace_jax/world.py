@@ -16,7 +16,7 @@ from .camera import Ray, view_frame
 from .intersect import perpendicular
 from .lists import Lists
 from .needs import Needs
-from .phases import fetch, fetch_own, keep, smallest_int
+from .phases import fetch, fetch_own, smallest_int
 from .scene import Scene
 from .vec import Vec, dot, larger, norm, safe_sqrt, smaller, unit, vec, where
 
@@ -254,9 +254,7 @@ def mean_chord(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Vec]:
     # the mean of unit normals is no longer than 1: highlights of a longer one explode
     length = safe_sqrt(square * shrink * shrink + half_chord * half_chord)
     short = smaller(radius / jnp.where(length > 0, length, 1), 1)
-    # two numbers, kept: nine of a varying surface would each find them again
-    half_chord, shrink = keep((half_chord * short, shrink * short))
-    return half_chord, q * shrink
+    return half_chord * short, q * (shrink * short)
 
 
 def chord_range(q: Vec, radius: Plane, reach: Plane) -> tuple[Plane, Plane]:
