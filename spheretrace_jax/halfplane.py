@@ -89,7 +89,8 @@ def with_area(part: Plane, x: Plane, y: Plane) -> HalfPlane:
 
 def untouched(half_planes: tuple[HalfPlane, ...]) -> Mask:
     """Whether all of the box lies in all of them, as in `everything`."""
-    return functools.reduce(jnp.minimum, (h.offset for h in half_planes)) >= _FAR
+    offsets = lax.stop_gradient([h.offset for h in half_planes])
+    return functools.reduce(jnp.minimum, offsets) >= _FAR
 
 
 def _beyond(inside: Mask, like: Plane) -> Plane:

@@ -124,9 +124,9 @@ def safe_sqrt(square: Plane) -> Plane:
 def larger(a: Plane, b: Plane | float | int) -> Plane:
     """max(a, b), with the derivative of the larger one, of `b` where they are equal.
 
-    jax's own `maximum` gives its derivative to what equals the maximum. XLA computes numbers again
-    where they are used, and rounds them otherwise where it joins multiplications with additions:
-    then neither is equal, and the derivative vanishes, in some pixels, without a word.
+    `maximum` of jax 0.10 gives its derivative to what equals the maximum. XLA computes numbers
+    again where they are used, and rounds them otherwise where it joins multiplications with
+    additions: then neither is equal, and the derivative vanishes, in some pixels, without a word.
     """
     return jnp.where(a > b, a, b)
 
