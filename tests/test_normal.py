@@ -8,7 +8,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scenes import SCENES, nine_spheres
 
-from spheretrace_jax.fit.lists import sorted_pixels
+from spheretrace_jax.fit.pixel_lists import sorted_pixels
 from spheretrace_jax.fit.problem import compressed_residual, make_problem
 
 SHADED = ("color", "ka", "kd", "ks", "light_position")

@@ -36,8 +36,8 @@ from ..vec import Vec, zeros
 from ..visibility import hit_of
 from ..world import World, build_world
 from .layout import Layout
-from .lists import EDGE, MOST, SEVERAL, STILL, Lists, sorted_pixels
 from .moments import Moments, Shading, by_moments, moments
+from .pixel_lists import EDGE, MOST, SEVERAL, STILL, PixelLists, sorted_pixels
 from .rows import Seen, seen_and_rows
 from .target import Target
 
@@ -92,7 +92,7 @@ def normal_equations(
     target: Target,
     layout: Layout,
     options: Options,
-    lists: Lists | None = None,
+    lists: PixelLists | None = None,
 ) -> Normal:
     """J^T J, J^T r and the cost in one pass over the picture, by the free parameters themselves.
 
@@ -119,7 +119,7 @@ def _of_rows(
     target: Target,
     layout: Layout,
     options: Options,
-    lists: Lists | None,
+    lists: PixelLists | None,
 ) -> Normal:
     """The part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
     world = build_world(scene)
@@ -145,7 +145,7 @@ class _Picture(eqx.Module):
     world: World
     target: Target
     exposure: Float[Array, " 3"]
-    lists: Lists
+    lists: PixelLists
     weights: Float[Array, "5 pixels"] | None  #: of `_BESIDE`; None for pixels that are points
     layout: Layout = eqx.field(static=True)
     options: Options

@@ -21,7 +21,6 @@ from ..render import draw_everywhere
 from ..scene import Scene
 from ..sharding import everywhere, gathered, on_devices
 from .layout import Layout
-from .lists import Lists, sorted_pixels
 from .normal import Normal, normal_equations
 from .parameters import (
     CAMERA,
@@ -33,6 +32,7 @@ from .parameters import (
     check_present,
     value,
 )
+from .pixel_lists import PixelLists, sorted_pixels
 from .target import Target, make_target
 
 # Coarser pictures have pixels this many times as wide, and at least so many along each side.
@@ -49,7 +49,9 @@ class Problem(eqx.Module):
     parameters: tuple[Parameters, ...]  #: one for each picture
     targets: tuple[Target, ...]
     options: tuple[Options, ...]
-    lists: tuple[Lists | None, ...]  #: what pixels show, where nothing free changes it; by device
+    lists: tuple[
+        PixelLists | None, ...
+    ]  #: what pixels show, where nothing free changes it; by device
     own: frozenset[str] = eqx.field(static=True)  #: the names of what each picture has of its own
 
     def start(self) -> PyTree:
@@ -283,7 +285,7 @@ def make_problem(
 
 
 @compiled
-def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> Lists:
+def _lists(scene: Scene, free: tuple[str, ...], options: Options) -> PixelLists:
     # of all pixels: the target of a problem may be replaced by one of which others count
     layout = Layout(scene, free)
     if options.sharding is None:

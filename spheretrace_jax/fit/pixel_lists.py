@@ -8,7 +8,7 @@ from jaxtyping import Array, Int
 
 from .._types import Ids, Mask
 from ..options import Options
-from ..phases import STRIP_PIXELS
+from ..phases import STRIP_PIXELS, large
 from ..render import rays_through, sample_places
 from ..scene import Scene
 from ..visibility import nearest
@@ -24,7 +24,7 @@ STILL, SEVERAL, EDGE, NONE = -1, 0, 1, 2
 MOST = 1 << 12
 
 
-class Lists(eqx.Module):
+class PixelLists(eqx.Module):
     """Lists of pixels, one after the other."""
 
     order: Int[Array, " padded"]  #: list by list; then `MOST` zeros
@@ -43,7 +43,7 @@ def sorted_pixels(
     options: Options,
     counts: Mask | None = None,
     edge: Mask | None = None,
-) -> Lists:
+) -> PixelLists:
     """Which pixels show which object, several, or edges; without derivatives.
 
     A list for each object, for the background if it moves, for pixels that show several objects
@@ -59,7 +59,7 @@ def sorted_pixels(
     order = _sorted(label - STILL, len(layout.each) + NONE - STILL + 1)
     numbers = jnp.arange(STILL, len(layout.each) + NONE + 1, dtype=label.dtype)
     starts = jnp.searchsorted(label[order], numbers, side="left").astype(jnp.int32)
-    return Lists(jnp.pad(order, (0, MOST)), starts)
+    return PixelLists(jnp.pad(order, (0, MOST)), starts)
 
 
 def _sorted(label: Int[Array, " pixels"], labels: int) -> Int[Array, " pixels"]:
@@ -82,21 +82,23 @@ def _labels(scene: Scene, layout: Layout, options: Options) -> Int[Array, " pixe
     sky = objects if layout.camera and scene.sky is not None else STILL
     places = sample_places(scene, options)
 
-    def label(pixels: Ids) -> Ids:
+    size = options.width * options.rows.count
+    strips = -(-size // STRIP_PIXELS)
+    strip = -(-size // strips)
+
+    def label(first: Int[Array, ""]) -> Ids:
+        pixels = large(first) + jnp.arange(strip, dtype=jnp.int32)
+
         def sample(place: tuple) -> Ids:
             ray = rays_through(scene, options, pixels, *place)
             return nearest(world, ray, options.needs).id.astype(jnp.int32)
 
-        first = sample(jax.tree.map(lambda p: p[0], places))
-        same = jnp.full(first.shape, True)
+        seen = sample(jax.tree.map(lambda p: p[0], places))
+        same = jnp.full(seen.shape, True)
         if options.samples > 1:
-            add = lambda same, place: (same & (sample(place) == first), None)
+            add = lambda same, place: (same & (sample(place) == seen), None)
             same, _ = lax.scan(add, same, jax.tree.map(lambda p: p[1:], places))
-        alone = jnp.where(first >= 0, first, sky)
-        return jnp.where(same & ends[first], alone, len(layout.each) + SEVERAL)
+        alone = jnp.where(seen >= 0, seen, sky)
+        return jnp.where(same & ends[seen], alone, len(layout.each) + SEVERAL)
 
-    size = options.width * options.rows.count
-    strips = -(-size // STRIP_PIXELS)
-    strip = -(-size // strips)
-    pixels = jnp.arange(strips * strip, dtype=jnp.int32).reshape(strips, strip)
-    return lax.map(label, pixels).reshape(-1)[:size]
+    return lax.map(label, strip * jnp.arange(strips, dtype=jnp.int32)).reshape(-1)[:size]
