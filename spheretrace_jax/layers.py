@@ -126,6 +126,7 @@ def layer_color(
     needs, ray = options.needs, beam.value
     surface = mean_surface_at(world, ray, rim.q.value, hit, needs, rim.reach)
     terms = partial(_terms, world, beam, hit, rim, surface, visible, options)
+    # shadow edges are half of what is compiled: once, not for each light (of three 6.1, not 8.7 s)
     sums = keep(light_sums(scene, hit.id.shape, needs, terms, most=1))
     color = local_color(scene, world, hit, surface, needs, sums)
     if follow is None:
@@ -187,11 +188,11 @@ def _terms(
         return diffuse, jnp.zeros_like(diffuse)
 
     def front() -> Plane:
-        def cosine(both: tuple[Ray, Vec]) -> Plane:
+        def toward(both: tuple[Ray, Vec]) -> Plane:
             surface = mean_surface_at(world, *both, hit, needs, rim.reach)
             return lambert(surface, toward_light(surface, light))
 
-        f = beam.beside(rim.q).map(cosine)
+        f = beam.beside(rim.q).map(toward)
         return half_plane(f.value, f.dx, f.dy)
 
     abrupt = lit & ends_abruptly(options.highlight, to_light, ray.direction)
