@@ -105,6 +105,14 @@ def test_forward_reverse_and_differences_agree():
     assert {"spheres.center", "spheres.radius", "camera.phi", "camera.distance"} <= moving
 
 
+def test_a_gradient_is_traced():
+    # compiled it takes half a minute; to trace it finds what jax cannot transpose
+    scene = three_spheres(antialias=1)
+    needs = st.needs(scene, free=("center", "radius", "light_position"))
+    gradient = jax.grad(lambda s: st.render(s, needs=needs, **SIZE).sum())
+    assert jax.tree.structure(jax.eval_shape(gradient, scene)) == jax.tree.structure(scene)
+
+
 # --- which pixels are composed ---
 
 
