@@ -49,9 +49,7 @@ class Problem(eqx.Module):
     parameters: tuple[Parameters, ...]  #: one for each picture
     targets: tuple[Target, ...]
     options: tuple[Options, ...]
-    lists: tuple[
-        PixelLists | None, ...
-    ]  #: what pixels show, where nothing free changes it; by device
+    lists: tuple[PixelLists | None, ...]  #: what pixels show, if that is fixed; by device
     own: frozenset[str] = eqx.field(static=True)  #: the names of what each picture has of its own
 
     def start(self) -> PyTree:
