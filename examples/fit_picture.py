@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 import spheretrace_jax as st
-from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.fit.determined import determined
+from spheretrace_jax.fit.model.products import determined_products
+from spheretrace_jax.study.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent / "data" / "nine_spheres.txt"
 
@@ -32,8 +32,8 @@ def main() -> None:
         callback=lambda p: print(f"step {p.step:2}: cost {p.cost:.3e}"),
     )  # fmt: skip
     print(found.trust.verdict)
-    true = determined(truth)
-    for name, value in determined(found.scene).items():
+    true = determined_products(truth)
+    for name, value in determined_products(found.scene).items():
         print(f"{name:15} largest error {np.abs(value - true[name]).max():.1e}")
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from ..errors import InputError, PictureError, printable
+from ..base.errors import InputError, PictureError, printable
 from .atomic import check_place, replacing, reserve
 
 Colorspace = Literal["auto", "linear", "srgb"]

@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Array
 
-from .._types import Highlight
-from ..camera import view_frame
-from ..errors import InputError, SceneError
-from ..scene import Camera, Planes, Scene, Spheres, Texture
-from ..shading import HIGHLIGHTS
-from ..vec import Vec
-from ..world import World, build_world
+from ..base.errors import InputError, SceneError
+from ..base.types import Highlight
+from ..base.vec import Vec
+from ..scene.camera import view_frame
+from ..scene.scene import Camera, Planes, Scene, Spheres, Texture
+from ..tracing.shading import HIGHLIGHTS
+from ..tracing.tables import SceneTables, build_tables
 from .atomic import write_text
 
 _FORMATS = {
@@ -138,7 +138,7 @@ def _points(v: Vec) -> np.ndarray:
 
 def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
     """What POV-Ray will, or may, draw differently."""
-    world = build_world(scene)
+    world = build_tables(scene)
     radius, kt = np.asarray(scene.spheres.radius), np.asarray(scene.spheres.kt)
     from_eye = np.linalg.norm(np.asarray(scene.spheres.center) - eye, axis=1) - radius
     mirrors = bool(np.any(np.asarray(world.materials.kgr) > 0))
@@ -161,7 +161,7 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
     return [what for what, holds in inexact.items() if holds]
 
 
-def _meets(world: World, i: int | np.integer, eye: np.ndarray) -> bool:
+def _meets(world: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
     """Whether sphere i meets another object or holds the eye."""
     center, radius = _points(world.balls.center), np.asarray(world.balls.radius)
     others = np.arange(world.spheres) != i

@@ -35,8 +35,8 @@ from unicodedata import category
 import jax
 import numpy as np
 
-from ..errors import InputError, PictureError, SceneError, SceneWarning, printable
-from ..scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture, precision
+from ..base.errors import InputError, PictureError, SceneError, SceneWarning, printable
+from ..scene.scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture, precision
 from .atomic import write_text
 from .tokens import Token, Tokens, decode
 
@@ -291,7 +291,7 @@ def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
         return np.asarray(rows, dtype).reshape(len(rows), columns)
 
     def texture(place: tuple[Token, str]) -> Texture:
-        from .images import read_image  # OpenImageIO is wanted only where there are pictures
+        from .images import read_image
 
         token, name = place
         file = os.path.abspath(folder / name)

@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from ..errors import SceneError, printable
+from ..base.errors import SceneError, printable
 
 _WORD = re.compile(
     r'//[^\r\n]*|(?P<newline>\r\n|\r|\n)|(?P<word>"[^"\r\n]*"?|(?:[^\s"/]+|/(?!/))+)'

@@ -1,4 +1,4 @@
 """Scene parameters from pictures."""
 
-from .run import Progress as Progress
-from .solve import Fit as Fit, fit as fit
+from .fit import Fit as Fit, fit as fit
+from .solver.driver import Progress as Progress

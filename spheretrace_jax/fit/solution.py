@@ -9,9 +9,9 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from ..scene import Scene
-from .bounded import BoundedLevenbergMarquardt
-from .problem import Problem, compressed_residual
+from ..scene.scene import Scene
+from .problem.problem import Problem, compressed_residual
+from .solver.levenberg_marquardt import BoundedLevenbergMarquardt
 
 # Singular values of the Hessian, as parts of the largest, below which nothing is determined.
 _HIDDEN = 1e-11

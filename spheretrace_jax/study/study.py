@@ -9,14 +9,14 @@ from typing import Any
 
 import jax
 
-from ..errors import InputError
-from ..scene import Scene
-from .derivatives import derivatives
-from .fits import fits
-from .pictures import pictures
-from .scale import scale
-from .settings import QUICK, Settings
-from .work import Diagram
+from ..base.errors import InputError
+from ..scene.scene import Scene
+from .benchmarks.derivatives import derivatives
+from .benchmarks.fits import fits
+from .benchmarks.pictures import pictures
+from .benchmarks.scale import scale
+from .benchmarks.settings import QUICK, Settings
+from .benchmarks.work_precision import Diagram
 
 #: What can be studied, in this order.
 PARTS: dict[str, Callable] = {

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import spheretrace_jax as st
-from spheretrace_jax.study.derivatives import blurred
+from spheretrace_jax.study.benchmarks.derivatives import blurred
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from scenes import nine_spheres, three_spheres
+from helpers.scenes import nine_spheres, three_spheres
 
 #: Parameters of `three_spheres`: where they are, and a step that moves edges by about 1/20 pixel of
 #: a picture 256 pixels high.

@@ -17,9 +17,9 @@ import numpy as np
 import optimistix as optx
 
 import spheretrace_jax as st
-from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.fit.determined import PRODUCTS, determined
-from spheretrace_jax.fit.solve import DEFAULT_FREE
+from spheretrace_jax.fit.fit import DEFAULT_FREE
+from spheretrace_jax.fit.model.products import PRODUCTS, determined_products
+from spheretrace_jax.study.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 # products whose standard deviation is less are determined
@@ -43,7 +43,7 @@ def timed(function, runs: int) -> tuple[object, float, float]:
 
 def errors(found: st.Scene, truth: st.Scene) -> tuple[float, float]:
     """The largest relative error of the determined products, and of the light's position."""
-    a, b = determined(found), determined(truth)
+    a, b = determined_products(found), determined_products(truth)
     products = max(np.abs(a[k] - b[k]).max() / np.abs(b[k]).max() for k in PRODUCTS)
     away = np.linalg.norm(b["light_position"])
     return products, np.abs(a["light_position"] - b["light_position"]).max() / away

@@ -18,8 +18,15 @@ import numpy as np
 from peers import mitsuba
 
 import spheretrace_jax as st
-from spheretrace_jax.demo import wrong_start
-from spheretrace_jax.study.mitsuba import RECIPES, Recipe, adam_fit, fitted, matt, mitsuba_scene
+from spheretrace_jax.study.benchmarks.mitsuba import (
+    RECIPES,
+    Recipe,
+    adam_fit,
+    fitted,
+    matt,
+    mitsuba_scene,
+)
+from spheretrace_jax.study.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 SIZE = 256

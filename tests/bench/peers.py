@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import spheretrace_jax as st
-from spheretrace_jax.study.mitsuba import LIGHT, mitsuba as found_mitsuba
+from spheretrace_jax.study.benchmarks.mitsuba import LIGHT, mitsuba as found_mitsuba
 
 
 def povray_seconds(scene: st.Scene, size: int, bounces: int) -> float:

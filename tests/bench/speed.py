@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 import spheretrace_jax as st
-from spheretrace_jax.fit.problem import make_problem, normal_at
-from spheretrace_jax.phases import compiler_options
-from spheretrace_jax.study.mitsuba import mitsuba_scene
+from spheretrace_jax.fit.problem.problem import make_problem, normal_at
+from spheretrace_jax.study.benchmarks.mitsuba import mitsuba_scene
+from spheretrace_jax.xla.jit import compiler_options
 
 SIZE, MANY_SIZE, RUNS, SECONDS = 1024, 512, 9, 6.0
 

@@ -18,12 +18,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from commands import FIT, WRITING, files, read_only, spheretrace, workplace
-from fuzz import fuzz_pictures, fuzz_scenes, good_pictures, peak
+from helpers.commands import FIT, WRITING, files, read_only, spheretrace, workplace
+from helpers.fuzz import fuzz_pictures, fuzz_scenes, good_pictures, peak
 
 import spheretrace_jax as st
 from extremes.case import case
-from spheretrace_jax.fit.target import make_target
+from spheretrace_jax.fit.model.target import make_target
 
 # --- broken files ---------------------------------------------------------------------------------
 
@@ -184,7 +184,7 @@ def read_only_folder() -> str:
     with (
         workplace() as folder,
         patch.object(st, "render", side_effect=computed),
-        patch("spheretrace_jax.commands.fit_with_progress", side_effect=computed),
+        patch("spheretrace_jax.cli.commands.fit_with_progress", side_effect=computed),
     ):
         spheretrace("fit", "--help")  # root's libraries are loaded
         Path("open").mkdir()

@@ -8,12 +8,12 @@ that it knows them to 1e-3, and in the lights' directions and inverse distances.
 
 import equinox as eqx
 import numpy as np
-from scenes import three_apart as scene
+from helpers.scenes import three_apart as scene
 
 import spheretrace_jax as st
 from extremes.case import Case, case
-from spheretrace_jax.fit.determined import PRODUCTS
-from spheretrace_jax.fit.solve import DEFAULT_FREE
+from spheretrace_jax.fit.fit import DEFAULT_FREE
+from spheretrace_jax.fit.model.products import PRODUCTS
 
 SIZE = dict(width=48, height=48)
 LIGHT = [900.0, -400, 700]

@@ -10,9 +10,9 @@ import numpy as np
 import spheretrace_jax as st
 from extremes.case import Case, case
 from extremes.exact import EXACT, passes_by, ray, sphere_roots, to_exact
-from spheretrace_jax.camera import pixel_rays
-from spheretrace_jax.intersect import ray_sphere
-from spheretrace_jax.vec import parts, vec
+from spheretrace_jax.base.vec import parts, vec
+from spheretrace_jax.scene.camera import pixel_rays
+from spheretrace_jax.tracing.intersect import ray_sphere
 
 GEMS = "Ray Tracing Gems (2019), ch. 7"
 RAYS = 200

@@ -10,9 +10,9 @@ import numpy as np
 import spheretrace_jax as st
 from extremes.case import Case, case
 from extremes.draw import PIXELS, SIDE, Extreme, picture_case, three
-from spheretrace_jax.shading import blinn, light_terms
-from spheretrace_jax.vec import dot, unit, vec
-from spheretrace_jax.world import Surface
+from spheretrace_jax.base.vec import dot, unit, vec
+from spheretrace_jax.tracing.shading import blinn, light_terms
+from spheretrace_jax.tracing.tables import Surface
 
 AHEAD = st.Camera(0.0, 0.0, 500.0, 900.0, 300.0)  #: the middle pixel looks down the z axis
 BALL = dict(center=[[0.0, 0, 0], [-150, 40, 0], [150, -60, 30]], radius=[100.0, 45, 60])

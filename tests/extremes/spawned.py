@@ -13,10 +13,10 @@ import numpy as np
 
 import spheretrace_jax as st
 from extremes.case import Case, case
-from spheretrace_jax.camera import Ray
-from spheretrace_jax.vec import Vec, unit, vec
-from spheretrace_jax.visibility import nearest, unoccluded
-from spheretrace_jax.world import Hit, World, build_world, surface_at
+from spheretrace_jax.base.vec import Vec, unit, vec
+from spheretrace_jax.scene.camera import Ray
+from spheretrace_jax.tracing.queries import closest_hit, light_visible
+from spheretrace_jax.tracing.tables import Hit, SceneTables, build_tables, surface_at
 
 PBRT = "Pharr, Jakob, Humphreys, Physically Based Rendering, 4th ed., 6.8, and its tests"
 TRIALS, FEWER = 1 << 21, 1 << 19
@@ -49,8 +49,8 @@ def lengths(v: np.ndarray) -> np.ndarray:
     return np.linalg.norm(v.astype(np.float64), axis=-1)
 
 
-def _world(center, radius) -> World:
-    return build_world(st.Scene(st.Spheres(center, radius), st.Lights(jnp.zeros((1, 3)))))
+def _world(center, radius) -> SceneTables:
+    return build_tables(st.Scene(st.Spheres(center, radius), st.Lights(jnp.zeros((1, 3)))))
 
 
 def _rows(v: Vec) -> jax.Array:
@@ -66,7 +66,7 @@ def arrive(center, radius, eye, aim, needs: st.Needs = NEEDS) -> tuple[Hit, jax.
 
     def trial(center, radius, eye, aim):
         world, ray = _world(center, radius), Ray(vec(eye), unit(vec(aim - eye)))
-        hit = nearest(world, ray, needs)
+        hit = closest_hit(world, ray, needs)
         surface = surface_at(world, ray, hit, needs)
         return hit, _rows(surface.point), _rows(surface.normal)
 
@@ -83,8 +83,8 @@ def depart(center, radius, hit, point, toward, light, needs: st.Needs = NEEDS) -
 
     def trial(center, radius, hit, point, toward, light):
         world, ray = _world(center, radius), Ray(vec(point), unit(vec(toward)))
-        again = nearest(world, ray, needs, hit).id
-        lit = unoccluded(world, ray.origin, hit, vec(light), needs)
+        again = closest_hit(world, ray, needs, hit).id
+        lit = light_visible(world, ray.origin, hit, vec(light), needs)
         return again, _rows(ray.direction), lit
 
     return jax.vmap(trial)(center, radius, hit, point, toward, light)

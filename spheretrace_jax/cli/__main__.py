@@ -1,0 +1,5 @@
+"""Runs the command line as `python -m spheretrace_jax.cli`."""
+
+from .main import main
+
+main()

@@ -1,0 +1,84 @@
+"""What `spheretrace check` prints: derivatives, rounding, and what a fit would find."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..scene.needs import needs
+from ..scene.scene import Scene
+from ..study.checks.condition import Condition, check_condition
+from ..study.checks.gradients import GradientTable, check_gradients, present
+from ..study.checks.stability import StabilityTable, check_stability
+from .info import print_table
+from .progress import busy
+
+# Of more pixels than these only the worst are shown.
+_MOST_PIXELS = 10
+
+
+def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
+    """Checks a scene and prints what is found, part by part.
+
+    **Arguments:** `free`: what a fit would find, by default what `fit` does. `picture`: size,
+    highlight, bounces and samples, as for `render`.
+
+    **Returns:** whether all is well: derivatives agree, float32 shows what float64 does, and a
+    fit would be well conditioned.
+    """
+    known = needs(scene, free=present(scene))  # the same for all, so that programs are shared
+    # first, as it says at once what is wrong with the names
+    with busy("what a fit would find"):
+        condition = check_condition(scene, free=free, needs=known, **picture)
+    with busy("float32 against float64"):
+        stability = check_stability(scene, needs=known, **picture)
+    with busy("derivatives, forwards, backwards and by differences"):
+        gradients = check_gradients(scene, needs=known, every=False, **picture)
+    _print_gradients(gradients)
+    _print_stability(stability)
+    _print_condition(condition)
+    return gradients.ok and stability.ok and condition.ok
+
+
+def _print_gradients(table: GradientTable) -> None:
+    good = "agree" if table.ok else "do NOT agree"
+    _say(f"derivatives: forward mode, reverse mode and differences {good}")
+    rows = [
+        (
+            row.parameter, f"{row.forward:.1e}", f"{row.reverse:.1e}", f"{row.largest:.1e}",
+            str(row.left_out), "yes" if row.agree else "NO",
+        )
+        for row in table.rows
+    ]  # fmt: skip
+    print_table(("parameter", "jvp - fd", "vjp - jvp", "largest", "pixels left out", "agree"), rows)
+    _say(*table.words, "")
+
+
+def _print_stability(table: StabilityTable) -> None:
+    good = "shows the same" if table.ok else "does NOT show the same"
+    _say(
+        f"float32 {good} as float64: median error {table.median:.1e}, largest {table.largest:.1e}; "
+        f"{table.shown} of {table.pixels} pixels ({table.share:.2g} of the picture) are off by "
+        f"more than {table.limit:.1e}"
+    )
+    rows = [
+        (
+            str(row.column), str(row.row), f"{row.error:.1e}", f"{row.ulps:.0f}",
+            row.cause, f"{row.factor:.1g}", row.place,
+        )
+        for row in table.rows[:_MOST_PIXELS]
+    ]  # fmt: skip
+    if rows:
+        print_table(("column", "row", "error", "ulps", "cause", "factor", "where"), rows)
+    _say(*table.warnings, "")
+
+
+def _print_condition(condition: Condition) -> None:
+    good = "is well conditioned" if condition.ok else "is NOT well conditioned"
+    _say(
+        f"a fit of {', '.join(condition.names)} {good}: {condition.rank} of {condition.free} free "
+        f"numbers are determined, condition number {condition.number:.1e}",
+        *condition.warnings,
+    )
+
+
+def _say(*lines: str) -> None:
+    print(*lines, sep="\n")

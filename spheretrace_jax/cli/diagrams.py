@@ -1,0 +1,120 @@
+"""A study as files: figures, every point in a table, and a page that says what they show."""
+
+import csv
+import dataclasses
+import io
+import math
+import os
+from pathlib import Path
+
+from ..files.atomic import write_text
+from ..study.benchmarks.captions import caption, seconds
+from ..study.benchmarks.work_precision import Diagram, Point
+from ..study.study import Study
+from .report import new_figure, save_figure
+
+_MARKERS = "os^vD<>pPX*"
+
+
+def write_study(folder: str | os.PathLike, study: Study) -> list[Path]:
+    """Writes `study.md`, `points.csv` and each diagram as PNG and SVG, to a folder made if need be.
+
+    **Returns:** the files written.
+
+    **Raises:** `OSError` if they cannot be.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / "study.md", folder / "points.csv"]
+    for diagram in study.diagrams:
+        drawn = _growth(diagram) if not diagram.error else _work_precision(diagram)
+        for ending in ("png", "svg"):
+            files.append(folder / f"{diagram.name}.{ending}")
+            save_figure(drawn, files[-1])
+            drawn.set_layout_engine("none")  # it is laid out now, which takes longest
+    write_text(files[1], _points(study))
+    write_text(files[0], _page(study))
+    return files
+
+
+def _points(study: Study) -> str:
+    text = io.StringIO()
+    names = [field.name for field in dataclasses.fields(Point)]
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow([*names, "seed", *study.machine])
+    for diagram in study.diagrams:
+        for point in diagram.points:
+            values = (getattr(point, name) for name in names)
+            rows.writerow([*values, study.settings.seed, *study.machine.values()])
+    return text.getvalue()
+
+
+def _page(study: Study) -> str:
+    chosen = study.settings
+    about = ", ".join(f"{name} {value}" for name, value in study.machine.items())
+    parts = [
+        "# Error against run time",
+        f"Measured on {about}; highlights {chosen.highlight}, bounces {chosen.bounces}, seed "
+        f"{chosen.seed}. Times are medians of interleaved runs without compilation, which is "
+        "apart and leaves out what methods before in the same table had compiled. Every point is "
+        "in [points.csv](points.csv).",
+    ]
+    for diagram in study.diagrams:
+        parts += [
+            f"## {diagram.title}",
+            f"![{diagram.title}]({diagram.name}.png)",
+            " ".join(caption(diagram)),
+            f"Truth: {diagram.reference}." if diagram.error else f"{diagram.reference}.",
+            _table(diagram),
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(diagram: Diagram) -> str:
+    """One line per method: where it starts and ends, and what compiling it took."""
+    if diagram.error:
+        lines = ["| method | from | to | compilation |", "|---|---|---|---|"]
+        say = lambda p: f"{p.error:.1e} in {seconds(p.seconds)} ({p.knob})"
+    else:
+        lines = ["| work | from | to | compilation |", "|---|---|---|---|"]
+        say = lambda p: f"{seconds(p.seconds)}, {p.memory / 1e6:.3g} MB ({p.knob})"
+    for method, points in diagram.curves.items():
+        first, last = (seconds(points[k].compile_seconds) for k in (0, -1))
+        compiling = first if first == last else f"{first} to {last}"
+        lines.append(f"| {method} | {say(points[0])} | {say(points[-1])} | {compiling} |")
+    return "\n".join(lines)
+
+
+def _work_precision(diagram: Diagram):
+    drawn = new_figure(8.0, 4.6)
+    ax = drawn.subplots()
+    for (method, points), marker in zip(diagram.curves.items(), _MARKERS * 9, strict=False):
+        ax.loglog(
+            [p.seconds for p in points], [p.error for p in points], marker=marker, label=method,
+            markersize=4,
+        )  # fmt: skip
+    if math.isfinite(diagram.uncertainty):
+        ax.axhline(diagram.uncertainty, color="grey", linestyle=":", label="the truth is known to")
+    ax.set(xlabel="seconds, without compilation", ylabel=diagram.error)
+    _finish(drawn, ax, diagram.title)
+    return drawn
+
+
+def _growth(diagram: Diagram):
+    drawn = new_figure(9.0, 3.8)
+    time, memory = drawn.subplots(1, 2)
+    for work, points in diagram.curves.items():
+        size = [p.size for p in points]
+        time.loglog(size, [p.seconds for p in points], marker="o", label=work)
+        memory.loglog(size, [p.memory / 1e6 for p in points], marker="o")
+    time.set(xlabel=diagram.knob, ylabel="seconds")
+    memory.set(xlabel=diagram.knob, ylabel="temporaries, MB")
+    memory.grid(alpha=0.3)
+    _finish(drawn, time, diagram.title)
+    return drawn
+
+
+def _finish(drawn, ax, title: str) -> None:
+    ax.grid(alpha=0.3, which="both")
+    drawn.suptitle(title)
+    drawn.legend(loc="outside right center", fontsize="small")

@@ -1,0 +1,122 @@
+"""What a fit found, for people: pictures side by side, the cost curve, tables of parameters."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..files.atomic import replacing, write_text
+from ..fit import Fit
+from ..fit.diagnosis.trust import together
+from ..fit.model.parameters import value
+from ..scene.scene import Scene
+
+
+def _remarks(fit: Fit) -> list[str]:
+    known = fit.identifiability
+    return [
+        f"{known.rank} of {known.free} free numbers.",
+        *(f"{r}." for r in together(fit.trust.remarks)),
+    ]
+
+
+def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
+    """A Markdown table of the free parameters, one line per object.
+
+    Before, after, and the standard deviation: `-` for what is not determined.
+    """
+    lines = ["| parameter | object | before | after | +- |", "|---|---|---|---|---|"]
+    deviations = fit.uncertainty.standard_deviations
+    for name in free:
+        if name == "exposure":
+            continue
+        before, after = (np.asarray(value(scene, name)) for scene in (start, fit.scene))
+        spread = deviations[name]
+        if before.ndim == 0:
+            numbers = " | ".join(map(_numbers, (before, after, spread)))
+            lines.append(f"| {name} | camera | {numbers} |")
+            continue
+        kind = "light" if name.startswith("light") else "sphere"
+        for i, row in enumerate(zip(before, after, spread, strict=True)):
+            lines.append(f"| {name} | {kind} {i + 1} | {' | '.join(map(_numbers, row))} |")
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(value: np.ndarray | np.floating) -> str:
+    finite = lambda x: f"{float(x):.6g}" if np.isfinite(x) else "-"
+    return " ".join(finite(x) for x in np.atleast_1d(value))
+
+
+def write_report(
+    folder: str | os.PathLike,
+    fit: Fit,
+    start: Scene,
+    target: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    free: tuple[str, ...],
+) -> list[Path]:
+    """Writes `comparison.png`, `cost.png` and `report.md` to a folder, which it makes if need be.
+
+    **Arguments:** `target`, `before`, `after`: the target, the start's and the fit's picture.
+
+    **Returns:** the files written.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / name for name in ("comparison.png", "cost.png", "report.md")]
+    save_figure(_comparison(target, before, after), files[0])
+    save_figure(_cost_curve(fit), files[1])
+    text = [
+        "# Fit",
+        f"{fit.trust.verdict[0].upper()}{fit.trust.verdict[1:]}.",
+        "![target, start, fit and residual](comparison.png)",
+        "![cost after each step](cost.png)",
+        "## What the picture determines",
+        "\n".join(f"- {line}" for line in _remarks(fit)),
+        "## Free parameters",
+        parameter_table(start, fit, free),
+    ]
+    write_text(files[2], "\n\n".join(text))
+    return files
+
+
+def save_figure(figure, path: Path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+
+
+def new_figure(width: float, height: float):
+    from matplotlib.figure import Figure  # not pyplot: no window system, no global state
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
+    from ..files.images import to_srgb
+
+    drawn = new_figure(13.0, 3.6)
+    axes = drawn.subplots(1, 4)
+    pictures = {"target": target, "start": before, "fit": after}
+    for ax, (title, picture) in zip(axes, pictures.items(), strict=False):
+        ax.imshow(np.clip(to_srgb(np.asarray(picture)), 0, 1))
+        ax.set_title(title)
+    residual = np.asarray(after) - np.asarray(target)
+    channel = np.abs(residual).argmax(-1, keepdims=True)
+    worst = np.take_along_axis(residual, channel, -1)[..., 0]
+    limit = max(float(np.abs(worst).max()), 1e-12)
+    shown = axes[3].imshow(worst, cmap="RdBu", vmin=-limit, vmax=limit)
+    axes[3].set_title("fit - target, worst channel")
+    drawn.colorbar(shown, ax=axes[3])
+    for ax in axes:
+        ax.set_axis_off()
+    return drawn
+
+
+def _cost_curve(fit: Fit):
+    drawn = new_figure(5.0, 3.6)
+    ax = drawn.subplots()
+    ax.semilogy(np.arange(1, len(fit.costs) + 1), fit.costs, marker="o")
+    ax.set(xlabel="step", ylabel="cost (half the sum of squares)", title="Levenberg-Marquardt")
+    ax.grid(alpha=0.3)
+    return drawn

@@ -1,0 +1,218 @@
+"""What a fit compares: the target picture, which of its numbers count, how much, and how.
+
+The residual of a number is weight (exposure picture - target), bent by a robust loss if asked for:
+Gauss-Newton on r~(r) with r~^2 / 2 = rho(r) minimises the sum of rho (Triggs et al., "Bundle
+Adjustment - A Modern Synthesis", 2000, section 4.3).
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from ...base.errors import InputError, PictureError
+from ...base.safe_math import larger
+from ...base.types import Picture
+
+# White in 8 and 16 bits is read as 1, give or take the rounding of the conversion to linear light;
+# the next number below it in 16 bits is 1 - 3e-5.
+_NEARLY_WHITE, _WHITE = 1 - 1e-5, 1 + 5e-5
+
+Loss = Literal["square", "huber", "cauchy"]
+
+#: Where a loss leaves the square, in standard deviations of the noise: 95 % efficient on normal
+#: noise (Huber 1964; Holland and Welsch 1977).
+_THRESHOLDS = {"square": 1.0, "huber": 1.345, "cauchy": 2.385}
+
+# Noise is estimated where the picture is no darker than this part of its mean, and is taken to be
+# at least so much of its largest number: not the target's, which may be an outlier.
+_DARK, _LEAST_NOISE = 0.1, 1e-4
+
+# The part of the numbers that `without_worst` leaves out.
+_WORST = 0.05
+
+
+class Target(eqx.Module):
+    """A picture to fit and which of its numbers count."""
+
+    image: Picture
+    weight: Float[Array, "height width 3"]  #: 0 where a number does not count
+    noise: Float[Array, ""]  #: the scale of the weighted residuals, for robust losses
+    loss: Loss = eqx.field(static=True)
+
+    @property
+    def counts(self) -> Bool[Array, "height width"]:
+        """Which pixels have numbers that count."""
+        return jnp.any(self.weight > 0, axis=-1)
+
+    @property
+    def counted(self) -> int:
+        """How many numbers count."""
+        return int(np.sum(np.asarray(self.weight) > 0))
+
+    @property
+    def length(self) -> float:
+        """The root of the sum of the squares of its weighted numbers."""
+        numbers = np.asarray(self.image * self.weight).reshape(-1)
+        return float(np.sqrt(numbers @ numbers))
+
+    @property
+    def size(self) -> float:
+        """The root-mean-square of those that count."""
+        return self.length / np.sqrt(self.counted)
+
+    def of_boxes(self, side: int) -> "Target":
+        """The means of boxes of pixels, side by side, at their middles; no other pixels count.
+
+        **Arguments:** `side`: how many pixels wide and high the boxes are, an odd number.
+        """
+        rows, columns = (n // side for n in self.weight.shape[:2])
+
+        def boxes(x: Picture) -> Float[Array, "rows side columns side 3"]:
+            return x[: rows * side, : columns * side].reshape(rows, side, columns, side, 3)
+
+        def at_middles(x: Float[Array, "rows columns 3"]) -> Picture:
+            middles = (slice(side // 2, n * side, side) for n in (rows, columns))
+            return jnp.zeros_like(self.weight).at[*middles].set(x)
+
+        weights = boxes(self.weight)
+        # of a mean of n numbers the noise is sqrt(n) times less
+        weight = jnp.where(jnp.all(weights > 0, axis=(1, 3)), weights.mean(axis=(1, 3)) * side, 0)
+        image = at_middles(boxes(self.image).mean(axis=(1, 3)))
+        return Target(image, at_middles(weight), self.noise, self.loss)
+
+    def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
+        """weight (exposure picture - target)."""
+        return self.weight * (picture * exposure[None, None, :] - self.image)
+
+    def residual(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
+        """The numbers whose squares are added up: `misfit`, less of what is far off."""
+        r = self.misfit(picture, exposure)
+        if self.loss == "square":
+            return r
+        k = self.noise * _THRESHOLDS[self.loss]
+        x = jnp.abs(r) / k
+        if self.loss == "huber":
+            bent = jnp.sqrt(2 * larger(x, 1) - 1)
+            return jnp.where(x <= 1, r, jnp.sign(r) * k * bent)
+        # smaller ones are their own: their squares may underflow, where the root has no slope
+        some = x > jnp.sqrt(jnp.finfo(x.dtype).eps)
+        log = jnp.log1p(jnp.where(some, x * x, 1))
+        return jnp.where(some, jnp.sign(r) * k * jnp.sqrt(log), r)
+
+    def slopes(self, picture: Picture, exposure: Float[Array, " 3"]) -> tuple[Picture, Picture]:
+        """The derivatives of the residuals by the picture's numbers and by their exposures."""
+        one = jnp.ones_like
+        _, by_picture = jax.jvp(lambda p: self.residual(p, exposure), (picture,), (one(picture),))
+        _, by_exposure = jax.jvp(lambda e: self.residual(picture, e), (exposure,), (one(exposure),))
+        return by_picture, by_exposure
+
+    def with_noise_of(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
+        """The same, with the noise estimated from the median residual, which outliers leave be.
+
+        Only where the picture shows something: black backgrounds fit without any noise.
+        """
+        r = jnp.abs(self.misfit(picture, exposure))
+        counts, seen = self.weight > 0, jnp.abs(picture * exposure[None, None, :])
+        mean = jnp.mean(seen, where=counts)
+        shown = counts & (seen >= _DARK * mean)
+        median = jnp.nanmedian(jnp.where(shown, r, jnp.nan))
+        least = _LEAST_NOISE * jnp.max(seen * self.weight)
+        noise = jnp.maximum(1.4826 * median, least)
+        return eqx.tree_at(lambda t: t.noise, self, jnp.where(noise > 0, noise, 1))
+
+    def without_worst(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
+        """The same without the numbers that fit worst."""
+        r = jnp.abs(self.misfit(picture, exposure))
+        most = jnp.nanquantile(jnp.where(self.weight > 0, r, jnp.nan), 1 - _WORST)
+        return eqx.tree_at(lambda t: t.weight, self, jnp.where(r > most, 0, self.weight))
+
+
+def make_target(
+    image: ArrayLike,
+    dtype: np.dtype,
+    *,
+    mask: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    noise: ArrayLike | None = None,
+    darkest: float | None = None,
+    loss: Loss = "square",
+) -> Target:
+    """Checks a target picture and leaves out what is clipped.
+
+    A picture none of whose numbers exceeds 1 and some of which are 1 was clipped, as 8- and 16-bit
+    files are: the numbers at 1 say "at least 1" and do not count. Pictures with brighter pixels
+    (EXR, HDR) are taken to be whole. Half precision is promoted.
+
+    **Arguments:** as for `fit`.
+
+    **Raises:** `PictureError` for shapes other than `(height, width, 3)`, for nan and inf where
+    the picture counts, for integers, and if nothing counts; `InputError` for masks, weights and
+    noise of other shapes or values out of range.
+    """
+    pixels = _wide(image)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
+        raise PictureError(f"the target must have shape (height, width, 3), got {pixels.shape}")
+    if not np.issubdtype(pixels.dtype, np.floating):
+        raise PictureError(
+            f"the target must hold linear floating numbers, as read_image gives, got {pixels.dtype}"
+        )
+    if loss not in _THRESHOLDS:
+        raise InputError(f"loss must be one of {', '.join(_THRESHOLDS)}, got {loss!r}")
+    weight = np.ones(pixels.shape)
+    if mask is not None:
+        mask = _like(mask, pixels, "mask")
+        if mask.dtype != bool:
+            raise InputError(f"the mask must hold yes and no (bool), got {mask.dtype}")
+        weight = np.where(mask, weight, 0)
+    if weights is not None:
+        weights = _like(weights, pixels, "weights")
+        if not (np.isfinite(weights) & (weights >= 0)).all():
+            raise InputError("the weights must be finite and at least 0")
+        # a weight counts squares, as a number of equal pixels would
+        weight = weight * np.sqrt(weights)
+    if noise is not None:
+        noise = _like(noise, pixels, "noise")
+        if not (np.isfinite(noise) & (noise > 0)).all():
+            raise InputError("the noise must be finite and greater than 0")
+        weight = weight / noise
+    wild = int(np.count_nonzero(~np.isfinite(pixels) & (weight > 0)))
+    if wild:
+        raise PictureError(f"the target must be finite, got {wild} numbers that are nan or inf")
+    pixels = np.where(weight > 0, pixels, 0)
+    clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= _WHITE)
+    if clipped.all():
+        raise PictureError("every number of the target is clipped: there is nothing to fit")
+    weight = np.where(clipped, 0, weight)
+    if darkest is not None:
+        if np.isnan(darkest):
+            raise InputError("darkest must be a number, got nan")
+        weight = np.where(pixels <= darkest, 0, weight)
+    if not (weight > 0).any():
+        raise PictureError("no number of the target counts: there is nothing to fit")
+    return Target(jnp.asarray(pixels, dtype), jnp.asarray(weight, dtype), jnp.ones((), dtype), loss)
+
+
+def _wide(value: ArrayLike) -> np.ndarray:
+    """In NumPy; half precision, which many EXR pictures have, becomes float32."""
+    array = np.asarray(value)
+    half = jnp.issubdtype(array.dtype, jnp.floating) and array.dtype.itemsize < 4
+    return array.astype(np.float32) if half else array
+
+
+def _like(value: ArrayLike, pixels: np.ndarray, name: str) -> np.ndarray:
+    """A number for all, one per pixel or one per channel, as one per channel."""
+    array = _wide(value)
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{name} must hold numbers, got {array.dtype}")
+    if array.shape == pixels.shape[:2]:
+        array = array[..., None]
+    if array.shape not in ((), (*pixels.shape[:2], 1), pixels.shape):
+        raise InputError(
+            f"{name} must be one number or have the target's shape {pixels.shape} with or without "
+            f"its channels, got shape {array.shape}"
+        )
+    return np.broadcast_to(array, pixels.shape)

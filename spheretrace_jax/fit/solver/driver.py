@@ -1,0 +1,192 @@
+"""One fit's way from its start to its end: the solver's steps."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree, Scalar
+
+from ...xla.jit import compiled
+from ..normal_equations.normal_equations import NormalEquations
+from ..problem.problem import Problem, compress, compressed_residual, normal_at
+from .levenberg_marquardt import CautiousTrustRegion
+
+# The step in a coarser picture that lowers the cost by less than this part of it is the last one.
+_ENOUGH = 0.1
+
+
+class Progress(eqx.Module):
+    """Where a fit is: passed to its callback after every step."""
+
+    step: int
+    max_steps: int
+    cost: float  #: the least so far
+    damping: float  #: of the step that was tried, in units of the solver's first
+    scene: Any  #: the best one so far, a list of them where there are several pictures
+
+
+class _Point(eqx.Module):
+    """A compressed residual and its Jacobian at one point."""
+
+    y: Float[Array, " free"]
+    residual: Float[Array, " compressed"]
+    jacobian: Float[Array, "compressed free"]
+
+
+def _linear(values: PyTree, point: _Point) -> tuple[Float[Array, " compressed"], None]:
+    """The residual near a point, to first order: all that a step of the Gauss-Newton family asks
+    for. So the picture's part is compiled once, whatever the solver, and the solver's quickly.
+    """
+    return point.residual + point.jacobian @ (ravel_pytree(values)[0] - point.y), None
+
+
+def _square(values: PyTree, problem: Problem) -> tuple[Scalar, None]:
+    """The cost, for solvers that minimise."""
+    return jnp.sum(compressed_residual(values, problem) ** 2) / 2, None
+
+
+def _full(values: PyTree, problem: Problem) -> tuple[Float[Array, " numbers"], None]:
+    return problem.residual(values), None
+
+
+@compiled
+def _point(normal: NormalEquations, values: PyTree) -> _Point:
+    return _Point(ravel_pytree(values)[0], *compress(normal))
+
+
+@compiled
+def _placed(problem: Problem, values: PyTree) -> list[Any]:
+    return [scene for scene, _ in problem.place(values)]
+
+
+@compiled
+def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
+    shape, _ = jax.eval_shape(fn, values, args)
+    return solver.init(fn, values, args, _options(fn), shape, None, frozenset())
+
+
+def _options(fn: Callable) -> dict[str, str]:
+    # as a matrix, not as a function that would be another for each fit and be compiled again
+    return {"jac": "bwd"} if fn is _linear else {}
+
+
+@compiled
+def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> tuple:
+    """The best values so far, their cost, the state, and how far the next look is."""
+    values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())
+    moves = jax.tree.map(
+        lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), _next(values, state), values
+    )
+    cost = _cost(fn, values, args, state)
+    return values, cost, state, jnp.max(jnp.stack(jax.tree.leaves(moves)))
+
+
+def _next(values: PyTree, state: Any) -> PyTree:
+    """Where a solver looks next: its best values, unless it tries some before it takes them."""
+    return getattr(state, "y_eval", values)
+
+
+def _cost(fn: Callable, values: PyTree, args: Any, state: Any) -> Scalar:
+    """The cost that a solver's step came to: from its state, if that keeps it."""
+    if hasattr(state, "f_info"):
+        return state.f_info.as_min()
+    if hasattr(state, "f"):  # Optax's: of the values before the step
+        return state.f
+    return jnp.sum(fn(values, args)[0])
+
+
+class Driver:
+    """Steps a solver from the host, so that a fit shows its progress and can be interrupted.
+
+    After each `solve` it knows all costs so far, the last one's result, and whether the user
+    stopped it.
+    """
+
+    def __init__(
+        self, solver: Any, dense: bool, tolerance: float, max_steps: int, callback: Callable | None
+    ):
+        self.solver, self.tolerance = solver, tolerance
+        self.max_steps, self.callback = max_steps, callback
+        self.costs: list[float] = []
+        self.result, self.interrupted = optx.RESULTS.nonlinear_max_steps_reached, False
+        self.fn = _square if isinstance(solver, optx.AbstractMinimiser) else _linear
+        if dense:
+            self.fn = _full
+        search = getattr(solver, "search", None)
+        self.widens = self.fn is _linear and isinstance(search, CautiousTrustRegion)
+
+    @property
+    def converged(self) -> bool:
+        return bool(self.result == optx.RESULTS.successful)
+
+    def solve(self, problem: Problem, values: PyTree) -> PyTree:
+        """**Returns:** the best values, also if it is interrupted."""
+        coarser = problem.coarser() if self.widens and not self.costs else []
+        step_size = None
+        for some in coarser:
+            values, step_size = self._solve(some, values, step_size, _ENOUGH)
+            if self.interrupted:
+                return values
+        return self._solve(problem, values, step_size)[0]
+
+    def _solve(
+        self, problem: Problem, values: PyTree, step_size: Scalar | None, enough: float = 0
+    ) -> tuple[PyTree, Scalar | None]:
+        """**Arguments:** `step_size`: the search's first one; None for its own. `enough`: a step
+        that lowers the cost by less than this part of it is the last one.
+
+        **Returns:** the best values and the last step size, if they go on in a finer picture.
+        """
+        self.result = optx.RESULTS.nonlinear_max_steps_reached
+        before = np.inf
+        try:
+            args = self._args(problem, values)
+            state = _init(self.solver, self.fn, args, values)
+            if step_size is not None:
+                state = eqx.tree_at(lambda s: s.search_state.step_size, state, step_size)
+            for _ in range(self.max_steps):
+                values, cost, state, move = _step(self.solver, self.fn, args, values, state)
+                self.costs.append(float(cost))
+                self._tell(problem, values, state)
+                if not np.isfinite(self.costs[-1]):
+                    self.result = optx.RESULTS.nonfinite
+                    break
+                done, result = self.solver.terminate(
+                    self.fn, values, args, _options(self.fn), state, frozenset()
+                )
+                # or only steps below the tolerance are left, none of which lowers the cost
+                waits = getattr(state, "num_steps_since_acceptance", 0)
+                if done or (waits >= 2 and move < self.tolerance):
+                    self.result = result
+                    break
+                if not waits and before * (1 - enough) < self.costs[-1] < before:
+                    break
+                before = self.costs[-1]
+                args = self._args(problem, _next(values, state))
+        except KeyboardInterrupt:
+            self.interrupted = True
+            return values, None
+        return values, state.search_state.step_size if enough else None
+
+    def _args(self, problem: Problem, values: PyTree) -> Any:
+        """What the residual function needs at the next point to look at."""
+        if self.fn is not _linear:
+            return problem
+        return _point(normal_at(problem, values), values)
+
+    def _tell(self, problem: Problem, values: PyTree, state: Any) -> None:
+        if self.callback is None:
+            return
+        scenes = _placed(problem, values)
+        search = getattr(state, "search_state", None)
+        size = float(getattr(search, "step_size", 1.0))
+        damping = 1 / size if size else float("inf")
+        best = scenes[0] if len(scenes) == 1 else scenes
+        steps = len(self.costs)
+        most = max(self.max_steps, steps)
+        self.callback(Progress(steps, most, self.costs[-1], damping, best))

@@ -1,0 +1,165 @@
+"""`Needs`: what a scene needs computed, and what is left out and why.
+
+A picture is compiled for the needs of its scene and nothing else: no shadow pass for one sphere,
+no reflection without a mirror. The needs are static, so two scenes with the same needs and shapes
+share one compiled function.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+
+import jax
+import jax.core
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.types import Index
+from . import feature_tests
+from .scene import Camera, Lights, Planes, Scene, Spheres
+
+
+@dataclasses.dataclass(frozen=True)
+class Needs:
+    """What to compute, as static flags: hashable, comparable, a constant of compilation."""
+
+    shadows: bool = True  #: some object may stand between another and a light
+    highlights: bool = True  #: some ks is not 0
+    inside: bool = True  #: a ray may start inside a sphere
+    reflection: bool = True  #: some kgr is not 0
+    transmission: bool = True  #: some kt is not 0
+    branching: bool = True  #: some object both reflects and transmits
+    dark_paths: bool = True  #: follow mirrors and bubbles whose kgr or kt is 0 (for derivatives)
+    textures: bool = True  #: some sphere wears a texture
+    planes: bool = True  #: there are planes, the back plane included
+    checkers: bool = True  #: some plane has a checker
+    background: bool = True  #: the background is not black
+    crossings: bool = True  #: objects may cut one another (an edge, where edges are covered)
+    tinted: bool = True  #: some light's red, green and blue differ
+    colors: bool = True  #: anything's red, green and blue differ
+    clear: tuple[int, ...] = ()  #: the lights whose way to every object is free: no shadow pass
+    depth: int | None = None  #: after how many bounces no ray meets anything; None: no limit
+
+    def shadows_of(self, light: Index) -> bool:
+        """Whether objects may stand in a light's way; in any's, if its number is not known yet."""
+        return self.shadows and not (isinstance(light, int) and light in self.clear)
+
+    @property
+    def bounces(self) -> bool:
+        """Whether rays go on after the first hit."""
+        return self.reflection or self.transmission
+
+
+def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
+    """What `scene` needs computed.
+
+    **Arguments:** `scene`: a scene of concrete numbers. `free`: names of parameters that will be
+    changed or differentiated later (`"ks"`, `"kgr"`, `"kt"`, `"center"`, ...): what they could
+    switch on is then needed, even where their present value is 0. A derivative with respect to
+    `ks`, `kgr` or `kt` at 0 is right only if they are declared so.
+
+    **Returns:** the needs, to pass to `render(..., needs=...)`, also under jit, grad and vmap.
+
+    **Raises:** `InputError` for unknown names in `free`, for dtypes that no scene may have, and
+    under a trace, where the numbers are not known.
+    """
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
+        raise InputError(
+            "the needs of a scene depend on its numbers, which are not known under jit, grad or "
+            "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
+        )
+    scene.check_dtype()
+    free = _names(free)
+    spheres, planes = scene.spheres, scene.planes
+
+    def some(name: str) -> np.ndarray:
+        """Per object, whether it may have a `name` other than 0."""
+        value = np.asarray(getattr(spheres, name))
+        if hasattr(planes, name):
+            value = np.concatenate([value, np.asarray(getattr(planes, name))])
+        return np.full(value.shape, True) if name in free else value != 0
+
+    kgr, kt = some("kgr"), some("kt")
+    objects, lights = scene.objects, len(scene.lights)
+    moving = free & {"center", "radius", "theta", "phi", "mu"}
+    inside = bool(kt.any() or (len(spheres) and (moving or feature_tests.eye_inside(scene))))
+    moves = inside or free & {"center", "radius", "light_position"}
+    clear = () if moves else feature_tests.unshadowed_lights(scene)
+    background = bool(
+        scene.sky is not None or "background" in free or np.asarray(scene.background).any()
+    )
+    textures, checkers = any(spheres.pic), bool(np.asarray(planes.checker_size).any())
+    tinted = "light_color" in free or feature_tests.any_colored(scene.lights.color)
+    back = () if scene.back_plane is None else (scene.back_plane.color,)
+    plain = (spheres.color, planes.color, planes.checker_color, scene.background, *back)
+    pictures = textures or scene.sky is not None
+    colors = (
+        pictures
+        or free & {"color", "checker_color", "background"}
+        or feature_tests.any_colored(*plain)
+    )
+    return Needs(
+        shadows=lights > len(clear) and (objects > 1 or inside),
+        highlights=lights > 0 and bool(some("ks").any()),
+        inside=inside,
+        reflection=bool(kgr.any()),
+        transmission=bool(kt.any()),
+        branching=bool((kgr[: len(kt)] & kt).any()),
+        dark_paths=bool(free & {"kgr", "kt"}),
+        textures=textures,
+        planes=objects > len(spheres),
+        checkers=checkers,
+        background=background,
+        crossings=bool(scene.antialias) and (bool(moving) or feature_tests.objects_cross(scene)),
+        tinted=tinted,
+        colors=tinted or bool(colors),
+        clear=clear if len(clear) < lights else (),
+        # the only object is convex: what it mirrors is the sky
+        depth=None if objects > 1 or inside else int(background),
+    )
+
+
+def _names(free: Iterable[str]) -> frozenset[str]:
+    """**Raises:** `InputError` for names of no parameter, and for a bare string."""
+    parts = (Spheres, Lights, Planes, Camera)
+    known = {field.name for part in parts for field in dataclasses.fields(part)}
+    known |= {"background", "light_position", "light_color"}
+    names = frozenset([free] if isinstance(free, str) else free)
+    unknown = sorted(names - known)
+    if unknown:
+        raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
+    return names
+
+
+def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
+    """Each feature, whether `scene` needs it, and why (or why not): what `info` prints."""
+    n = needs(scene)
+    lit = len(scene.lights) > 0
+    clear = ", ".join(str(k + 1) for k in n.clear)
+    table = {
+        "shadows": (
+            "an object may stand between another and a light"
+            + (f"; not for light {clear}, whose way is free" if clear else ""),
+            "nothing can stand between an object and a light" if lit else "no lights",
+        ),
+        "highlights": ("some ks > 0", "every ks is 0" if lit else "no lights"),
+        "inside": ("the eye is in a sphere, or light passes one", "no ray starts inside a sphere"),
+        "reflection": (
+            "some kgr > 0" + ("" if n.depth is None else "; the only object mirrors no other"),
+            "every kgr is 0",
+        ),
+        "transmission": ("some kt > 0", "every kt is 0"),
+        "branching": ("an object has both kgr and kt", "no object has both kgr and kt"),
+        "textures": ("some pic > 0", "every pic is 0"),
+        "planes": ("there are planes", "there are none"),
+        "checkers": ("some plane has two colours", "no plane has two colours"),
+        "background": ("a colour or a sky", "black"),
+        "antialias": ("the flag is 1: edges are covered by area", "the flag is 0"),
+        "crossings": (
+            "objects may cut one another",
+            "no object cuts another, or no edge is covered",
+        ),
+        "tinted": ("a light is coloured", "every light is white or grey"),
+        "colors": ("something is coloured", "everything is white or grey: one channel"),
+    }
+    found = dataclasses.asdict(n) | {"antialias": bool(scene.antialias)}
+    return [(name, found[name], why[not found[name]]) for name, why in table.items()]

@@ -1,0 +1,81 @@
+"""`Options`: what a picture is besides its scene, checked."""
+
+import dataclasses
+
+import equinox as eqx
+from jax.sharding import NamedSharding
+from jaxtyping import Array, Float
+
+from ..base.errors import InputError
+from ..base.types import Highlight
+from ..tracing.shading import HIGHLIGHTS
+from ..xla.sharding import Rows, rows_of_device, rows_sharding
+from .needs import Needs, needs as needs_of
+from .scene import Scene
+
+#: More samples along a pixel's side, or more bounces where paths branch, would never end.
+MOST_SAMPLES, MOST_BRANCHINGS = 256, 16
+
+
+class RenderSettings(eqx.Module):
+    """What a picture is besides its scene: static, but for `box`."""
+
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    highlight: Highlight = eqx.field(static=True)
+    bounces: int = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    antialias: bool = eqx.field(static=True)
+    needs: Needs = eqx.field(static=True)
+    rows: Rows = eqx.field(static=True)  #: which are computed: all but on one of several devices
+    sharding: NamedSharding | None = eqx.field(static=True)  #: how rows lie on several devices
+    #: how many pixels wide and high the boxes around pixels' centres are whose means are seen;
+    #: None for the pixels themselves
+    box: Float[Array, ""] | None = None
+
+    @property
+    def side(self) -> Float[Array, ""] | float:
+        """How wide and high the box of a sample is, in pixels."""
+        return (1.0 if self.box is None else self.box) / self.samples
+
+    @property
+    def of_device(self) -> "RenderSettings":
+        """Those of each device's part of the picture."""
+        assert self.sharding is not None
+        rows = rows_of_device(self.height, self.sharding)
+        return dataclasses.replace(self, rows=rows, sharding=None)
+
+
+def render_settings(
+    scene: Scene,
+    width: int,
+    height: int,
+    highlight: Highlight = "phong",
+    bounces: int = 5,
+    samples: int = 1,
+    needs: Needs | None = None,
+    sharding: NamedSharding | None = None,
+) -> RenderSettings:
+    """Checks and completes the static arguments of `render`."""
+    scene.check_dtype()
+    for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
+        if value < least:
+            raise InputError(f"{name} must be at least {least}, got {value}")
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise InputError(f"samples must be in 1..{MOST_SAMPLES}, got {samples}")
+    if highlight not in HIGHLIGHTS:
+        raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
+    needs = needs_of(scene) if needs is None else needs
+    bounces = bounces if needs.bounces else 0
+    if needs.depth is not None:
+        bounces = min(bounces, needs.depth)
+    if needs.branching and bounces > MOST_BRANCHINGS:
+        raise InputError(
+            "where an object both reflects and transmits, n bounces follow 2^n paths: "
+            f"bounces must be at most {MOST_BRANCHINGS}, got {bounces}"
+        )
+    sharding = None if sharding is None else rows_sharding(sharding)
+    antialias, rows = bool(scene.antialias), Rows(height)
+    return RenderSettings(
+        width, height, highlight, bounces, samples, antialias, needs, rows, sharding
+    )  # fmt: skip

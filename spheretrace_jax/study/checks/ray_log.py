@@ -1,0 +1,103 @@
+"""`Stop`: what the ray of a pixel meets, bounce by bounce, with the numbers that decide there."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ...base.vec import parts, vec
+from ...rendering.render import rays_through
+from ...scene.camera import Ray
+from ...scene.scene import Scene
+from ...scene.settings import RenderSettings
+from ...tracing.path import Path, next_path, shade_path
+from ...tracing.queries import closest_hit, light_visible
+from ...tracing.shading import HIGHLIGHTS, lambert, power, toward_light
+from ...tracing.tables import SceneTables, build_tables, surface_at
+from ...xla.jit import compiled
+
+
+class RayRecord(eqx.Module):
+    """Where rays are at one bounce. Arrays of shape `(pixels, ...)`, or `(bounces, pixels, ...)`.
+
+    Where `alive` is false the others mean nothing.
+    """
+
+    alive: Bool[Array, "*bounces pixels"]
+    id: Int[Array, "*bounces pixels"]  #: the object that is met, -1 for none
+    inside: Bool[Array, "*bounces pixels"]  #: whether it is a sphere met from inside
+    lit: Bool[Array, "*bounces pixels lights"]  #: whether no other object is in a light's way
+    turned: Bool[Array, "*bounces pixels lights"]  #: whether N.L > 0
+    facing: Float[Array, "*bounces pixels"]  #: N.V
+    steep: Float[Array, "*bounces pixels"]  #: n / (R.V): by what the highlight's errors grow
+    shine: Float[Array, "*bounces pixels"]  #: what of the colour is highlights
+    color: Float[Array, "*bounces pixels 3"]  #: what the hit adds to the picture
+    origin: Float[Array, "*bounces pixels 3"]  #: where the ray comes from
+    direction: Float[Array, "*bounces pixels 3"]
+    point: Float[Array, "*bounces pixels 3"]  #: where it meets the object
+
+
+@compiled
+def log_rays(
+    scene: Scene,
+    settings: RenderSettings,
+    pixels: Int[Array, " pixels"],
+    left: Float[Array, ""],
+    top: Float[Array, ""],
+    choice: int = 0,
+) -> RayRecord:
+    """All stops of one ray through each of some pixels, in the scene's own precision.
+
+    **Arguments:** `pixels`: numbered row by row. `left`, `top`: where in a pixel the ray is, in
+    pixels. `choice`: 0 to follow reflections where objects also transmit, 1 to go straight on.
+    """
+    world, needs = build_tables(scene), settings.needs
+    ray = rays_through(scene, settings, pixels, left, top)
+    whole = lambda x: jnp.broadcast_to(x, pixels.shape)
+    ray = Ray(jax.tree.map(whole, ray.origin), ray.direction)
+    one = jnp.ones_like(ray.direction.x)
+    hit = closest_hit(world, ray, needs)
+    start = Path(ray, hit, one, one > 0, None)
+
+    def bounce(path: Path, _: None) -> tuple[Path, RayRecord]:
+        stop = _stop(scene, world, path, settings)
+        on = next_path(world, path, needs, choice)
+        return eqx.tree_at(lambda p: p.hit, on, closest_hit(world, on.ray, needs, on.hit)), stop
+
+    if not settings.bounces:
+        return jax.tree.map(lambda x: x[None], _stop(scene, world, start, settings))
+    return lax.scan(bounce, start, None, settings.bounces + 1)[1]
+
+
+def _stop(scene: Scene, world: SceneTables, path: Path, settings: RenderSettings) -> RayRecord:
+    ray, hit, needs = path.ray, path.hit, settings.needs
+    surface = surface_at(world, ray, hit, needs)
+    ks, exponent = world.material(hit.id, lambda m: (m.ks, m.exponent))
+    lit, turned, shine, grown = [], [], jnp.zeros_like(ks), jnp.zeros_like(ks)
+    for position, light_color in zip(scene.lights.position, scene.lights.color, strict=True):
+        light = vec(position)
+        to_light = toward_light(surface, light)
+        lit.append((hit.id >= 0) & light_visible(world, surface.point, hit, light, needs))
+        turned.append(lambert(surface, to_light) > 0)
+        cosine = HIGHLIGHTS[settings.highlight](surface, to_light, ray.direction)
+        shows = lit[-1] & turned[-1] & (cosine > 0)
+        each = jnp.where(shows, power(cosine, exponent), 0) * ks * jnp.max(light_color)
+        shine = shine + each
+        grown = grown + each * exponent / jnp.where(shows, cosine, 1)
+    masks = lambda of: jnp.stack(of, -1) if of else jnp.zeros((*ks.shape, 0), bool)
+    rows = lambda v: jnp.stack(jnp.broadcast_arrays(*parts(v), ks)[:3], -1)
+    return RayRecord(
+        alive=path.alive,
+        id=jnp.where(path.alive, hit.id, -1).astype(jnp.int32),
+        inside=hit.inside,
+        lit=masks(lit),
+        turned=masks(turned),
+        facing=surface.facing,
+        steep=grown / jnp.where(shine > 0, shine, 1),
+        shine=shine * path.weight,
+        color=rows(shade_path(scene, world, path, settings)),
+        origin=rows(ray.origin),
+        direction=rows(ray.direction),
+        point=rows(surface.point),
+    )

@@ -1,0 +1,84 @@
+"""The lecture's shading: ambient, Lambert and Phong (or halfway-vector) terms at a point.
+
+    C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
+
+with S the surface's colour, C_l the light's, A the mean of all C_l, and unit vectors N, L, V, R, H.
+"""
+
+import jax.numpy as jnp
+
+from ..base.types import Highlight, Mask, PixelArray
+from ..base.vec import Vec, dot, norm, unit
+from .tables import Surface
+
+
+def lambert(surface: Surface, to_light: Vec) -> PixelArray:
+    """N.L, which may be negative: unlit then. **Arguments:** `to_light`: unit vectors L."""
+    return dot(surface.normal, to_light)
+
+
+def phong(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
+    """R.V with R = 2 (N.L) N - L (slide "Specular Reflection"), which may be negative.
+
+    **Arguments:** `to_light`: unit vectors L. `direction`: the rays' directions, -V.
+    """
+    return 2 * lambert(surface, to_light) * surface.facing + dot(to_light, direction)
+
+
+def blinn(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
+    """H.N with H = (L + V)/|L + V| (slide "Halfway Vector"); 0 where L = -V leaves H undefined.
+
+    **Arguments:** as for `phong`.
+    """
+    length = norm(to_light - direction)
+    some = length > 0
+    cosine = (lambert(surface, to_light) + surface.facing) / jnp.where(some, length, 1)
+    return jnp.where(some, cosine, 0)
+
+
+HIGHLIGHTS = {"phong": phong, "blinn": blinn}
+
+
+def ends_abruptly(highlight: Highlight, to_light: Vec, direction: Vec) -> Mask:
+    """Whether a highlight has not faded out where N.L = 0 ends it: Phong's if lit from behind.
+
+    **Arguments:** as for `phong`.
+    """
+    behind = dot(to_light, direction) > 0
+    return behind if highlight == "phong" else jnp.full(behind.shape, True)
+
+
+def power(cosine: PixelArray, exponent: PixelArray) -> PixelArray:
+    """max(cosine, 0)^exponent, with 0^0 = 1; its derivative is 0 where cosine <= 0."""
+    some = cosine > 0
+    # exp(n log c): 1.5 ms for a million pixels, where `power` takes 5.1
+    value = jnp.exp(exponent * jnp.log(jnp.where(some, cosine, 1)))
+    return jnp.where(some, value, jnp.where(exponent == 0, 1, 0).astype(cosine.dtype))
+
+
+def toward_light(surface: Surface, light: Vec) -> Vec:
+    """L: the unit vectors from the surface to a light."""
+    return unit(light - surface.point)
+
+
+def light_terms(
+    surface: Surface,
+    direction: Vec,
+    light: Vec,
+    exponent: PixelArray,
+    lit: Mask,
+    highlight: Highlight | None,
+) -> tuple[PixelArray, PixelArray]:
+    """What one light adds, before colours and coefficients: N.L and (R.V)^n, 0 where not lit.
+
+    **Arguments:** `direction`: the rays' directions. `light`: the light's position. `lit`: whether
+    the light reaches the point. `highlight`: None leaves the second term out.
+    """
+    to_light = toward_light(surface, light)
+    cosine = lambert(surface, to_light)
+    lit = lit & (cosine > 0)
+    diffuse = jnp.where(lit, cosine, 0)
+    if highlight is None:
+        return diffuse, jnp.zeros_like(diffuse)
+    shine = power(HIGHLIGHTS[highlight](surface, to_light, direction), exponent)
+    return diffuse, jnp.where(lit, shine, 0)

@@ -1,0 +1,153 @@
+"""Our pictures against POV-Ray's, and the text that is written for it.
+
+The references were rendered by data/references/make_references.py. They hold 16-bit numbers, so
+half a step, 7.6e-6, is the least difference to expect; bitmaps add about as much, since POV-Ray
+keeps them in float32. A pixel whose ray grazes an edge may fall on either side (`tie_pixels`).
+Those with "samples" are averages of many rays, for pictures whose edges are covered by area.
+"""
+
+import dataclasses
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import spheretrace_jax as st
+from spheretrace_jax.files.povray import povray_text, write_povray
+
+FOLDER = Path(__file__).parents[2] / "data" / "references"
+REFERENCES = json.loads((FOLDER / "references.json").read_text())
+TOLERANCE = 2e-3
+TEXTURES = {"transmission", "textures", "sky", "pole"}
+
+
+def load(name: str) -> st.Scene:
+    return st.load_scene(FOLDER / f"{name}.txt", dtype=np.float64)
+
+
+def small_scene(**options) -> st.Scene:
+    spheres = st.Spheres(jnp.array([[0.0, 0, 0], [150, 20, 0]]), 40.0, ks=0.3, **options)
+    return st.Scene(
+        spheres, st.Lights([[100.0, 500, 800]]), textures=[st.Texture(np.ones((4, 8, 3)))]
+    )
+
+
+SHARP = [reference for reference in REFERENCES if "samples" not in reference]
+SMOOTH = [reference for reference in REFERENCES if "samples" in reference]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", SMOOTH, ids=lambda reference: reference["name"])
+def test_covered_edges_are_near_povrays_many_rays(reference):
+    options = {key: reference[key] for key in ("width", "height", "highlight", "bounces")}
+    theirs = st.read_image(FOLDER / f"{reference['name']}.png", colorspace="linear")
+    assert theirs.max() < 1
+    error = lambda ours: np.linalg.norm(np.asarray(ours) - theirs) / np.linalg.norm(theirs)
+    scene = load(reference["name"])
+    sharp = scene.with_antialias(0)
+    assert error(st.render(scene, **options)) < 4e-3
+    assert error(st.render(scene, **options, samples=2)) < 1.2e-3
+    assert error(st.render(sharp, **options)) > 3e-2, "one ray per pixel is far off"
+
+
+@pytest.mark.parametrize("reference", SHARP, ids=lambda reference: reference["name"])
+def test_picture_equals_that_of_povray(reference):
+    name, width, height = (reference[key] for key in ("name", "width", "height"))
+    options = {key: reference[key] for key in ("width", "height", "highlight", "bounces")}
+    ours = np.asarray(st.render(load(name), **options))
+    theirs = st.read_image(FOLDER / f"{name}.png", colorspace="linear")
+    assert theirs.shape == (height, width, 3)
+    assert 0.2 < theirs.max() < 1, "a picture that clips, or is black, compares nothing there"
+    error = np.abs(np.minimum(ours, 1) - theirs).max(axis=-1)
+    off = error > TOLERANCE
+    assert off.sum() <= reference["tie_pixels"], f"{off.sum()} pixels, first {np.argwhere(off)[:5]}"
+    assert error[~off].max() < (3e-5 if name in TEXTURES else 8e-6)
+
+
+def test_few_pixels_may_differ():
+    for reference in REFERENCES:
+        assert reference["tie_pixels"] <= round(1e-4 * reference["width"] * reference["height"])
+
+
+def test_references_cover_every_feature():
+    needs = [st.needs(load(reference["name"])) for reference in REFERENCES]
+    covered = {
+        f.name for f in dataclasses.fields(st.Needs) if any(getattr(n, f.name) for n in needs)
+    }
+    assert covered >= {
+        "shadows", "highlights", "inside", "reflection", "transmission", "branching", "textures",
+        "planes", "checkers", "background",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
+@pytest.mark.parametrize("name", ["exponents_blinn", "sky", "transmission"])
+def test_povray_draws_the_reference_again(name, tmp_path):
+    spec = importlib.util.spec_from_file_location("references", FOLDER / "make_references.py")
+    references = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(references)
+    references.render(next(r for r in REFERENCES if r["name"] == name), tmp_path)
+    now, then = (
+        st.read_image(folder / f"{name}.png", colorspace="linear") for folder in (tmp_path, FOLDER)
+    )
+    np.testing.assert_allclose(now, then, atol=2 / 65535)
+
+
+@pytest.mark.parametrize("reference", REFERENCES, ids=lambda reference: reference["name"])
+def test_text_holds_finite_numbers_only(reference):
+    text = povray_text(load(reference["name"]))
+    assert "nan" not in text and "inf" not in text.replace("interior", "")
+
+
+def test_nan_is_refused():
+    with pytest.raises(st.SceneError, match="holds nan"):
+        povray_text(small_scene(kd=jnp.nan))
+
+
+def test_texture_without_a_file_is_refused():
+    with pytest.raises(ValueError, match="a texture is in no file") as error:
+        povray_text(small_scene(pic=1))
+    assert "\n" not in str(error.value)
+
+
+def test_texture_that_no_sphere_wears_needs_no_file():
+    assert "image_map" not in povray_text(small_scene())
+
+
+def test_bounces_count_the_ray_from_the_eye():
+    assert "max_trace_level 4 " in povray_text(small_scene(kgr=0.5), bounces=3)
+
+
+def test_exponent_0_is_a_constant_highlight():
+    assert "specular 0.3 roughness 1e10" in povray_text(small_scene(exponent=0.0))
+
+
+@pytest.mark.parametrize(
+    "options, what",
+    [
+        ({"kt": 1.0}, "kt counts as at most"),
+        ({"kt": 0.5, "kgr": 0.5}, "do not count as bounces"),
+        ({"radius": 100.0, "kt": 0.5}, "far walls"),
+        ({"radius": 1e-3}, "nearer than"),
+    ],
+)
+def test_what_is_not_exact_is_said_first(options, what):
+    options = {"radius": 40.0, **options}
+    spheres = st.Spheres([[0.0, 0.0, 0.0], [150.0, 20.0, 0.0]], **options)
+    text = povray_text(st.Scene(spheres, st.Lights([[100.0, 500.0, 800.0]])))
+    assert text.startswith("// not exact: ") and what in text.split("#version")[0]
+
+
+def test_lecture_scene_is_exact():
+    assert "not exact" not in povray_text(load("nine_spheres"))
+
+
+def test_file_is_named_after_its_scene_but_not_its_folder(tmp_path):
+    write_povray(tmp_path / "a.pov", small_scene(), scene_path=tmp_path / "a.txt")
+    lines = (tmp_path / "a.pov").read_text().splitlines()
+    assert lines[0] == "// made from a.txt"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.pov"]

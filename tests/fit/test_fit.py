@@ -1,0 +1,272 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import optimistix as optx
+import pytest
+from helpers.scenes import SCENES, nine_spheres, three_apart
+
+import spheretrace_jax as st
+from spheretrace_jax.fit.model.parameters import Parameters
+from spheretrace_jax.fit.model.products import determined_products
+from spheretrace_jax.fit.model.target import make_target
+from spheretrace_jax.study.wrong_start import wrong_start
+
+LIGHT = (100.0, 500, 800)
+PLAIN = dict(bounces=0, samples=1)  # of most fits here, so that they compile quickly
+SIZE = dict(width=32, height=32)
+
+
+def with_random_colors(scene: st.Scene) -> st.Scene:
+    color = np.random.default_rng(0).uniform(0.2, 0.9, scene.spheres.color.shape)
+    return eqx.tree_at(lambda s: s.spheres.color, scene, jnp.asarray(color, scene.dtype))
+
+
+def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
+    """The largest error of the determined products, relative to each one's largest value."""
+    true = determined_products(truth)
+    return {
+        k: np.abs(v - true[k]).max() / np.abs(true[k]).max()
+        for k, v in determined_products(found).items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("size", "antialias", "options"),
+    [
+        pytest.param(128, 0, PLAIN, id="one ray"),
+        pytest.param(128, 1, PLAIN, id="antialiased", marks=pytest.mark.slow),
+        pytest.param(48, 1, {}, id="antialiased with reflections", marks=pytest.mark.slow),
+        pytest.param(128, 1, {}, id="antialiased with reflections, large", marks=pytest.mark.slow),
+    ],
+)
+def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, antialias, options):
+    lecture = nine_spheres(LIGHT)
+    truth = with_random_colors(lecture.with_antialias(antialias))
+    target = st.render(truth, width=size, height=size, **options)
+    found = st.fit(wrong_start(truth), target, **options)
+    assert found.converged and found.result == optx.RESULTS.successful
+    assert found.steps <= 12
+    assert max(errors(found.scene, truth).values()) < 1e-8
+    assert found.cost < 1e-15 and found.left_out == 0
+
+
+def test_colours_on_their_bounds_are_found_and_never_left():
+    truth = nine_spheres(LIGHT)  # green and blue are 0, the first ks too
+    noise = 0.01 * np.random.default_rng(0).standard_normal((64, 64, 3))
+    target = st.render(truth, width=64, height=64, **PLAIN) + noise
+    visited = []
+    found = st.fit(wrong_start(truth), target, callback=lambda p: visited.append(p.cost), **PLAIN)
+    assert found.converged and found.steps <= 15
+    assert visited == list(found.costs) and all(np.diff(visited) <= 0)
+    s = found.scene.spheres
+    for value in (s.color, s.ka, s.kd, s.ks):
+        assert value.min() >= 0 and value.max() <= 1
+    assert (s.color[:, 1:] == 0).any()  # held exactly where noise pulls outwards
+    assert errors(found.scene, truth)["light_position"] < 0.01
+
+
+@pytest.mark.parametrize("bound", [0.0, 1.0])
+def test_bounds_are_left_again(bound):
+    truth = with_random_colors(nine_spheres(LIGHT))
+    target = st.render(truth, width=64, height=64, **PLAIN)
+    names = ("color", "ka", "kd", "ks") if bound else ("ka", "kd", "ks")
+    places = lambda s: [getattr(s.spheres, name) for name in names]
+    start = eqx.tree_at(places, truth, [jnp.full_like(x, bound) for x in places(truth)])
+    found = st.fit(start, target, **PLAIN)
+    assert found.converged and max(errors(found.scene, truth).values()) < 1e-8
+
+
+def test_float32_reaches_float32():
+    truth = with_random_colors(nine_spheres(LIGHT, np.float32))
+    target = st.render(truth, width=64, height=64, **PLAIN)
+    found = st.fit(wrong_start(truth), target, **PLAIN)
+    assert found.converged
+    worst = errors(found.scene, truth)
+    assert max(worst["ka*color"], worst["kd*color"], worst["ks"]) < 1e-5
+    assert worst["light_position"] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "free", "places"),
+    [
+        ("shadows", ("exponent",), lambda s: [s.spheres.exponent]),
+        ("two_coloured_lights", ("light_color",), lambda s: [s.lights.color]),
+        ("glass", ("kgr", "kt"), lambda s: [s.spheres.kgr, s.spheres.kt]),
+        ("shadows", ("ks", "exponent"), lambda s: [s.spheres.ks, s.spheres.exponent]),
+    ],
+)
+def test_other_parameters_come_back_too(name, free, places):
+    truth = SCENES[name]
+    target = st.render(truth, bounces=2, **SIZE)
+    start = eqx.tree_at(places, truth, [0.6 * x + 0.1 for x in places(truth)])
+    found = st.fit(start, target, free=free, bounces=2)
+    assert found.converged
+    for value, true in zip(places(found.scene), places(truth), strict=True):
+        np.testing.assert_allclose(value, true, rtol=1e-7, atol=1e-9)
+
+
+def test_mirrors_are_found_where_the_start_has_none():
+    truth = SCENES["mirrors"]
+    blank = eqx.tree_at(lambda s: s.spheres.kgr, truth, jnp.zeros(3))
+    found = st.fit(blank, st.render(truth, bounces=2, **SIZE), free=("kgr",), bounces=2)
+    np.testing.assert_allclose(found.scene.spheres.kgr, truth.spheres.kgr, atol=1e-9)
+
+
+def test_what_is_not_free_stays_to_the_last_bit():
+    truth = nine_spheres(LIGHT)
+    found = st.fit(wrong_start(truth), st.render(truth, **SIZE, **PLAIN), free=("ks",), **PLAIN)
+    start = wrong_start(truth)
+    changed = eqx.tree_at(lambda s: s.spheres.ks, found.scene, start.spheres.ks)
+    assert eqx.tree_equal(changed, start)
+
+
+def test_ka_is_kept_at_its_start_where_the_colour_allows_it():
+    truth = with_random_colors(nine_spheres(LIGHT))
+    target = st.render(truth, **SIZE, **PLAIN)
+    found = st.fit(wrong_start(truth), target, **PLAIN).scene.spheres
+    kept = np.isclose(found.ka, 0.3, rtol=1e-12)
+    # the first two have kd .9 and .8: a ka of .3 would ask for more than 1
+    assert kept.sum() >= 6
+    full = np.isclose(found.kd, 1) | np.isclose(found.color.max(1), 1) | np.isclose(found.ka, 1)
+    assert (kept | full).all()
+
+
+def test_clipped_pixels_are_left_out_and_do_no_harm(tmp_path):
+    truth = nine_spheres(LIGHT)
+    truth = eqx.tree_at(lambda s: s.lights.color, truth, 1.5 * truth.lights.color)
+    picture = st.render(truth, width=64, height=64, **PLAIN)
+    assert float(picture.max()) > 1.2
+    st.write_image(tmp_path / "target.png", picture, bits=16)
+    target = st.read_image(tmp_path / "target.png")
+    found = st.fit(wrong_start(truth), target, **PLAIN)
+    assert found.left_out == int(np.count_nonzero(np.asarray(picture) >= 1 - 1e-5)) > 10
+    assert found.counted + found.left_out == target.size
+    assert errors(found.scene, truth)["light_position"] < 1e-5
+    taken_for_true = np.minimum(target, 0.9999)
+    naive = st.fit(wrong_start(truth), taken_for_true, max_steps=12, **PLAIN)
+    assert errors(naive.scene, truth)["light_position"] > 5e-3
+
+
+def test_numbers_at_1_count_in_pictures_that_go_beyond():
+    picture = np.full((2, 2, 3), 0.5)
+    picture[0, 0] = 1.0
+    assert make_target(picture, np.dtype(np.float64)).counted == 9
+    picture[1, 1] = 1.7
+    assert make_target(picture, np.dtype(np.float64)).counted == 12
+
+
+@pytest.mark.parametrize(
+    "solver", [optx.Dogleg, optx.GaussNewton, optx.LevenbergMarquardt, optx.BFGS]
+)
+def test_solvers_of_optimistix_can_be_chosen(solver):
+    truth = with_random_colors(nine_spheres(LIGHT))
+    target = st.render(truth, **SIZE, **PLAIN)
+    start = eqx.tree_at(lambda s: s.spheres.color, truth, jnp.full((9, 3), 0.5))
+    found = st.fit(start, target, free=("color",), solver=solver(rtol=1e-9, atol=1e-9), **PLAIN)
+    assert found.converged
+    np.testing.assert_allclose(found.scene.spheres.color, truth.spheres.color, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "solver", [optx.OptaxMinimiser(optax.adam(0.03), 1e-6, 1e-6), optx.NelderMead(1e-4, 1e-4)]
+)
+def test_solvers_whose_states_are_of_another_kind_can_be_chosen(solver):
+    truth, seen = three_apart([900.0, -400, 700]), dict(width=24, height=24, bounces=0)
+    target = st.render(truth, **seen)
+    start = eqx.tree_at(lambda s: s.spheres.ka, truth, truth.spheres.ka * 0.5)
+    told = []
+    with jax.numpy_dtype_promotion("standard"):  # as Optax needs it
+        found = st.fit(
+            start, target, free=("ka",), bounces=0, solver=solver, max_steps=400,
+            callback=told.append,
+        )  # fmt: skip
+    assert found.converged and len(told) == found.steps
+    assert found.cost < 1e-4
+    np.testing.assert_allclose(found.scene.spheres.ka, truth.spheres.ka, atol=0.01)
+
+
+def test_a_fit_that_runs_out_of_steps_says_so():
+    truth = nine_spheres(LIGHT)
+    target = st.render(truth, **SIZE, **PLAIN)
+    found = st.fit(wrong_start(truth), target, max_steps=2, **PLAIN)
+    assert not found.converged and found.steps == 2
+    assert "maximum number of steps" in found.result_message
+    with pytest.raises(RuntimeError, match="did not converge"):
+        st.fit(wrong_start(truth), target, max_steps=1, throw=True, **PLAIN)
+
+
+def test_an_interrupted_fit_keeps_the_best_scene_so_far():
+    truth = nine_spheres(LIGHT)
+    target = st.render(truth, **SIZE, **PLAIN)
+
+    def stop(progress):
+        if progress.step == 4:
+            raise KeyboardInterrupt
+
+    found = st.fit(wrong_start(truth), target, callback=stop, **PLAIN)
+    assert found.interrupted and not found.converged and found.steps == 4
+    residual = np.asarray(st.render(found.scene, **SIZE, **PLAIN) - target)
+    np.testing.assert_allclose(0.5 * np.sum(residual**2), found.cost, rtol=1e-6)
+    assert found.cost < found.costs[0] / 10
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        (np.zeros((4, 4)), r"shape \(height, width, 3\), got \(4, 4\)"),
+        (np.zeros((0, 4, 3)), r"got \(0, 4, 3\)"),
+        (np.full((4, 4, 3), np.nan), "48 numbers that are nan or inf"),
+        (np.ones((4, 4, 3)), "every number of the target is clipped"),
+        (np.full((4, 4, 3), 100, np.uint8), "floating numbers, as read_image gives, got uint8"),
+    ],
+)
+def test_targets_of_no_use_are_refused(target, message):
+    with pytest.raises(st.PictureError, match=message):
+        st.fit(nine_spheres(), target)
+
+
+@pytest.mark.parametrize("free", [(), ("colour",), ("color", "window"), ("ks", "ks")])
+def test_names_that_cannot_be_free_are_refused(free):
+    with pytest.raises(st.InputError, match=r"free parameter"):
+        st.fit(nine_spheres(), np.zeros((4, 4, 3)), free=free)
+
+
+def test_what_the_scene_does_not_have_cannot_be_free():
+    dark = st.Scene(nine_spheres().spheres, st.Lights(np.zeros((0, 3))))
+    with pytest.raises(st.InputError, match="light_position is free, but the scene has no lights"):
+        st.fit(dark, np.zeros((4, 4, 3)))
+
+
+def test_any_number_of_the_solver_stands_for_a_valid_scene():
+    scene, free = (
+        SCENES["glass"],
+        (
+            *("color", "ka", "ks", "exponent", "kt", "light_color", "light_position"),
+            *("center", "radius", "theta", "phi", "mu", "distance"),
+        ),
+    )
+    parameters = Parameters(scene, free)
+    values = parameters.start()
+    same, exposure = parameters.place(values)
+    assert (exposure == 1).all()
+    assert all(
+        np.allclose(a, b, rtol=1e-14)
+        for a, b in zip(*map(jax.tree.leaves, (scene, same)), strict=True)
+    )
+    wild = jax.tree.map(lambda y: 3.7 * y - 2.2, values)
+    valid, _ = parameters.place(wild)
+    s = valid.spheres
+    for value in (s.color, s.ka, s.ks, s.kt):
+        assert 0 <= value.min() and value.max() <= 1
+    for value in (s.exponent, s.radius, valid.camera.mu, valid.camera.distance):
+        assert value.min() > 0
+    low, high = parameters.bounds()
+    assert (
+        (low["color"] == 0).all() and (high["color"] == 1).all() and (low["light_color"] == 0).all()
+    )
+    assert np.isinf(high["light_color"]).all() and np.isinf(high["light_position"]).all()
+    # two numbers turn a light, the third moves it away, at most to infinity
+    assert np.isinf(low["light_position"][:, :2]).all()
+    assert np.isfinite(low["light_position"][:, 2]).all()

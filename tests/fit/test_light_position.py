@@ -1,0 +1,193 @@
+"""Lights' positions as points of projective space: charts, and fits that are blind to the unit."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import nine_spheres
+
+import spheretrace_jax as st
+from spheretrace_jax.fit.model.light_position import LightPosition, light_position_at
+from spheretrace_jax.study.wrong_start import wrong_start
+
+MIDDLE, SIZE = np.array([3.0, -5, 7]), 40.0
+ALONG = np.array([1.0, -2, 2]) / 3
+FAR = (0.0, 1e-200, 1e-9, 0.01, 1.0, 30.0, 1e6)  # distances in sizes
+DTYPES = (np.float64, np.float32)
+INFINITY = 1e7
+
+
+def chart(far: float, dtype=np.float64, unit: float = 1.0) -> tuple[LightPosition, jax.Array]:
+    """The chart around a light at some distance, and the light."""
+    light, middle, size = (
+        jnp.asarray(unit * x, dtype) for x in (MIDDLE + far * SIZE * ALONG, MIDDLE, SIZE)
+    )
+    return light_position_at(light, middle, size), light
+
+
+def at_least(around: LightPosition) -> jax.Array:
+    """The bound on the third number, the other two at the start."""
+    return jnp.zeros_like(around.u).at[2].set(around.least()[2])
+
+
+def slopes(around: LightPosition, y: jax.Array) -> np.ndarray:
+    """The derivatives of the position, in sizes, and in double precision."""
+    return np.asarray(jax.jacfwd(around.position)(y), np.float64) / float(around.size)
+
+
+def scaled_singular_values(slope: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(slope / np.linalg.norm(slope, axis=0), compute_uv=False)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("far", FAR)
+def test_zero_is_the_start(far, dtype):
+    around, light = chart(far, dtype)
+    found = around.position(jnp.zeros(3, dtype))
+    assert found.dtype == dtype
+    np.testing.assert_allclose(found, light, rtol=3 * np.finfo(dtype).eps)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("far", [*FAR, 1e7, 1e15, 1e30])
+def test_derivatives_are_finite_and_of_full_rank(far, dtype):
+    around, _ = chart(far, dtype)
+    rng = np.random.default_rng(0)
+    # beyond the bound, too, where solvers without bounds may look
+    places = [np.zeros(3), *rng.normal(0, 0.5, (5, 3)), *rng.normal(0, 3, (5, 3))]
+    for y in places:
+        slope = slopes(around, jnp.asarray(y, dtype))
+        assert np.isfinite(slope).all()
+        # the rounding of float32 alone turns a column by 1e-7
+        assert scaled_singular_values(slope)[-1] > 1e-5
+
+
+@pytest.mark.parametrize("far", FAR)
+def test_at_the_start_two_numbers_turn_the_light_and_one_moves_it_away(far):
+    around, _ = chart(far)
+    slope = slopes(around, jnp.zeros(3))
+    w = 1 / np.hypot(1, far)
+    np.testing.assert_allclose(np.linalg.norm(slope, axis=0), [1 / w, 1 / w, 1 / w**2], rtol=1e-14)
+    np.testing.assert_allclose(scaled_singular_values(slope), 1, rtol=1e-14)
+    if far > 1e-100:
+        np.testing.assert_allclose(ALONG @ slope, [0, 0, -(w**-2)], atol=1e-15 / w**2)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("far", [0.01, 1.0, 30.0, 1e6, 1e7])
+def test_derivatives_are_those_of_central_differences(far, dtype):
+    around, _ = chart(far)
+    rng = np.random.default_rng(1)
+    w = 1 / np.hypot(1, far)
+    for _ in range(4):
+        y = rng.normal(0, 0.1, 3) * [1, 1, w]
+        h = 1e-6 * np.array([1, 1, w])
+        if far >= INFINITY:
+            y[2], h[2] = abs(y[2]) + h[2], h[2] / 2
+        apart = [
+            (around.position(jnp.asarray(y + d)) - around.position(jnp.asarray(y - d))) / SIZE
+            for d in np.diag(h)
+        ]
+        slope = slopes(chart(far, dtype)[0], jnp.asarray(y, dtype))
+        expected = np.stack(apart, axis=1) / (2 * h)
+        largest = np.abs(expected).max(0)
+        tolerance = 1e-8 if dtype == np.float64 else 1e-5
+        np.testing.assert_allclose(slope / largest, expected / largest, atol=tolerance)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("far", [0.01, 1.0, 30.0, 1e3, 1e6])
+def test_at_the_bound_the_light_is_very_far_and_can_come_back(far, dtype):
+    around, _ = chart(far, dtype)
+    y = at_least(around)
+    away = (np.asarray(around.position(y), np.float64) - MIDDLE) / SIZE
+    assert np.isfinite(away).all() and np.linalg.norm(away) > 0.5 * INFINITY
+    np.testing.assert_allclose(away / np.linalg.norm(away), ALONG, atol=1e-6)
+    slope = slopes(around, y)
+    # two turn it as 1/w, the third moves it as 1/w^2: no less, or no step would bring it back
+    lengths = np.linalg.norm(slope, axis=0)
+    w = np.hypot(1, far) / far / np.linalg.norm(away)
+    np.testing.assert_allclose(lengths * [w, w, w**2], 1, rtol=0.01)
+    assert (ALONG @ slope)[2] < 0
+    np.testing.assert_allclose(scaled_singular_values(slope), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_light_beyond_infinity_starts_at_the_bound(dtype):
+    for far in (1e8, 1e15, 1e30, *([1e160] if dtype == np.float64 else [])):
+        around, _ = chart(far, dtype)
+        assert around.least()[2] == 0
+        away = (np.asarray(around.position(jnp.zeros(3, dtype)), np.float64) - MIDDLE) / SIZE
+        np.testing.assert_allclose(away / INFINITY, ALONG, rtol=1e-6)
+
+
+def test_a_light_at_the_middle_has_no_direction_to_be_bounded_in():
+    around, _ = chart(0.0)
+    assert (around.least() == -jnp.inf).all()
+    assert (around.position(jnp.zeros(3)) == MIDDLE).all()
+    # derivatives by the chart itself, as `solution` takes them, have no 0/0 either
+    tangent = jax.tree.map(jnp.ones_like, around)
+    _, slope = jax.jvp(lambda c: c.position(jnp.ones(3)), (around,), (tangent,))
+    assert np.isfinite(slope).all()
+    moved = around.position(jnp.asarray([0.1, -0.2, 0.3])) - MIDDLE
+    np.testing.assert_allclose(jnp.linalg.norm(moved), SIZE * np.sqrt(0.14), rtol=1e-14)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e-3])
+@pytest.mark.parametrize("far", [0.0, 0.01, 1.0, 30.0, 1e6])
+def test_the_chart_is_blind_to_the_unit_of_length(far, unit):
+    (one, _), (other, _) = chart(far), chart(far, unit=unit)
+    y = jnp.asarray([0.3, -0.2, 0.1])
+    numbers = slopes(one, y)
+    largest = np.abs(numbers).max()
+    np.testing.assert_allclose(slopes(other, y) / largest, numbers / largest, atol=1e-12)
+    np.testing.assert_allclose(other.least()[2], one.least()[2], rtol=1e-12)
+
+
+def scaled(scene: st.Scene, unit: float) -> st.Scene:
+    """The same scene, its lengths so many times as large."""
+    lengths = lambda s: (
+        s.spheres.center, s.spheres.radius, s.lights.position,
+        s.camera.mu, s.camera.distance, s.camera.window,
+    )  # fmt: skip
+    return eqx.tree_at(lengths, scene, [unit * x for x in lengths(scene)])
+
+
+TRUTH = nine_spheres((100.0, 500, 800))
+PLAIN = dict(bounces=0, samples=1)
+SMALL = dict(width=32, height=32)
+
+
+def test_a_fit_takes_the_same_steps_in_millimetres_as_in_kilometres():
+    target = np.array(st.render(TRUTH, **SMALL, **PLAIN))
+    # with noise and a coarse tolerance all costs and steps are far above rounding errors
+    target += 0.01 * np.random.default_rng(0).standard_normal(target.shape)
+    one, *others = (
+        st.fit(scaled(wrong_start(TRUTH), unit), target, rtol=1e-6, atol=1e-6, **PLAIN)
+        for unit in (1.0, 1e3, 1e-3)
+    )
+    assert one.converged and one.costs[0] > 10 * one.cost > 1
+    for unit, other in zip((1e3, 1e-3), others, strict=True):
+        assert other.converged and other.steps == one.steps
+        np.testing.assert_allclose(other.costs, one.costs, rtol=1e-9)
+        position = other.scene.lights.position / unit
+        np.testing.assert_allclose(position, one.scene.lights.position, rtol=1e-9)
+
+
+def test_a_light_comes_back_from_infinity():
+    far = eqx.tree_at(lambda s: s.lights.position, TRUTH, 1e12 * TRUTH.lights.position)
+    found = st.fit(far, st.render(TRUTH, **SMALL, **PLAIN), **PLAIN)
+    assert found.converged
+    np.testing.assert_allclose(found.scene.lights.position, TRUTH.lights.position, rtol=1e-8)
+
+
+def test_a_light_at_infinity_is_found():
+    far = eqx.tree_at(lambda s: s.lights.position, TRUTH, 1e9 * TRUTH.lights.position)
+    target = st.render(far, **SMALL, **PLAIN)
+    found = st.fit(wrong_start(TRUTH), target, **PLAIN)
+    picture = st.render(found.scene, **SMALL, **PLAIN)
+    np.testing.assert_allclose(picture, target, atol=1e-6)
+    unit = lambda x: x[0] / np.linalg.norm(x)
+    direction = unit(np.asarray(found.scene.lights.position))
+    np.testing.assert_allclose(direction, unit(np.asarray(far.lights.position)), atol=1e-6)

@@ -1,0 +1,174 @@
+import dataclasses
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import CAMERA, SCENES, nine_spheres
+
+import spheretrace_jax as st
+from spheretrace_jax.rendering.render import draw
+from spheretrace_jax.scene.needs import left_out
+from spheretrace_jax.scene.settings import render_settings
+
+FEATURES = [f.name for f in dataclasses.fields(st.Needs)]
+
+
+def needed(scene, **settings) -> set[str]:
+    found = st.needs(scene, **settings)
+    return {name for name in FEATURES if getattr(found, name)}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("diffuse", {"shadows"}),
+        ("shadows", {"shadows", "highlights"}),
+        ("two_coloured_lights", {"shadows", "highlights", "tinted"}),
+        ("mirrors", {"shadows", "highlights", "reflection"}),
+        ("bubbles", {"shadows", "highlights", "reflection", "transmission", "inside"}),
+        ("glass", {"shadows", "highlights", "reflection", "transmission", "inside", "branching",
+                   "background"}),
+        ("planes", {"shadows", "highlights", "reflection", "planes", "checkers"}),
+        ("textures", {"shadows", "highlights", "reflection", "textures", "background", "tinted"}),
+        ("inside", {"shadows", "highlights", "reflection", "inside"}),
+    ],
+)  # fmt: skip
+def test_needs_are_those_of_the_scene(name, expected):
+    grey = {"inside"}  # its spheres and its light are white
+    assert needed(SCENES[name]) == expected | (set() if name in grey else {"colors"})
+
+
+def test_one_sphere_needs_no_shadow_and_no_lights_need_nothing():
+    one = st.Spheres([[0.0, 0, 0]], [40.0], ks=0.5)
+    assert needed(st.Scene(one, st.Lights([[9.0, 9, 9]]))) == {"highlights"}
+    assert needed(st.Scene(one, st.Lights(np.zeros((0, 3))))) == set()
+
+
+def test_a_lonely_mirror_mirrors_only_the_sky():
+    mirror = st.Spheres([[0.0, 0, 0]], [40.0], kgr=0.5)
+    alone = st.Scene(mirror, st.Lights(np.zeros((0, 3))))
+    under_a_sky = eqx.tree_at(lambda s: s.background, alone, jnp.array([0.1, 0.2, 0.3]))
+    assert st.needs(alone).depth == 0 and st.needs(under_a_sky).depth == 1
+    size = dict(width=24, height=24, samples=1)
+    for scene in (alone, under_a_sky):
+        few, many = (st.render(scene, needs=n, **size) for n in (None, st.Needs()))
+        np.testing.assert_array_equal(few, many)
+    assert st.needs(SCENES["mirrors"]).depth is None
+
+
+def test_lights_that_nothing_can_block_need_no_shadow_pass():
+    scene = nine_spheres((100.0, 500, 800))  # the file's own light: no pixel is in its shadow
+    assert not st.needs(scene).shadows and st.needs(scene, free=["light_position"]).shadows
+    both = st.Lights([[100.0, 500, 800], [100, 900, 300]])
+    both = eqx.tree_at(lambda s: s.lights, scene, both)
+    assert st.needs(both).shadows and st.needs(both).clear == (0,)
+
+
+def test_what_will_be_free_is_needed():
+    scene = SCENES["diffuse"]
+    assert "highlights" in needed(scene, free=["ks"])
+    assert {"reflection", "dark_paths"} <= needed(scene, free=["kgr"])
+    assert {"transmission", "inside"} <= needed(scene, free=["kt"])
+
+
+@pytest.mark.parametrize("free", ["colour", ["kgr", "light"]])
+def test_unknown_names_are_refused(free):
+    with pytest.raises(st.InputError, match="free must name parameters of the scene"):
+        st.needs(SCENES["diffuse"], free=free)
+    assert st.needs(SCENES["diffuse"], free="kgr").reflection
+
+
+def test_needs_are_static_hashable_and_equal_for_scenes_alike():
+    first, second = (
+        st.needs(nine_spheres(light)) for light in ((100.0, 900, 300), (90.0, 910, 310))
+    )
+    assert first == second and hash(first) == hash(second)
+
+
+@pytest.mark.parametrize("transform", [jax.jit, jax.grad, jax.vmap])
+def test_under_a_trace_they_must_be_passed(transform):
+    scene = SCENES["diffuse"]
+    if transform is jax.vmap:
+        scene = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), scene)
+    with pytest.raises(ValueError, match="pass needs=needs"):
+        transform(lambda s: jnp.sum(st.render(s, width=4, height=4)))(scene)
+
+
+def lean_and_full(name: str, **changes) -> tuple[np.ndarray, np.ndarray]:
+    # 'dark_paths' only matters for derivatives; all others are computed though not needed
+    scene, full = SCENES[name], dataclasses.replace(st.Needs(), **changes)
+    size = dict(width=24, height=24, bounces=3, samples=1)
+    return tuple(np.asarray(st.render(scene, needs=n, **size)) for n in (None, full))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_leaving_out_changes_no_picture(name):
+    lean, full = lean_and_full(name)
+    np.testing.assert_allclose(lean, full, rtol=4e-15, atol=1e-15)
+
+
+@pytest.mark.slow
+def test_leaving_out_changes_no_bit():
+    # where the processor cannot multiply and add in one rounded step, which compilers do to other
+    # pairs in other programs. Where paths branch, they are added up in another order.
+    check = """
+import jax
+jax.config.update("jax_enable_x64", True)
+from scene.test_needs import SCENES, lean_and_full
+for name in SCENES:
+    lean, full = lean_and_full(name, branching=name == "glass")
+    assert (lean == full).all(), name
+"""
+    flags = os.environ | {"XLA_FLAGS": "--xla_cpu_max_isa=AVX"}
+    subprocess.run(
+        [sys.executable, "-c", check], check=True, env=flags, cwd=Path(__file__).parents[1]
+    )
+
+
+def operations(scene: st.Scene, **changes) -> int:
+    """How many there are in the program of a picture, before it is compiled."""
+    found = dataclasses.replace(st.needs(scene), **changes)
+    program = render_settings(scene, 8, 8, bounces=2, needs=found)
+    lowered = jax.jit(lambda scene: draw.__wrapped__(scene, program)).lower(scene)
+    return len(re.findall(r"= \"?(?:stablehlo|chlo|func)\.", lowered.as_text()))
+
+
+@pytest.mark.parametrize("name", [n for n in FEATURES if n not in ("branching", "dark_paths")])
+def test_a_feature_that_is_not_needed_has_no_operations(name):
+    # a grey scene that needs nothing at all but two mirrors, which some features are about
+    spheres = st.Spheres([[-60.0, -30, 0], [50, 40, -40]], [60.0, 70], kgr=0.5)
+    scene = st.Scene(spheres, st.Lights([[0.0, 0, 900]]), CAMERA)
+    if name == "crossings":
+        scene = scene.with_antialias(1)
+    if name == "reflection":
+        scene = eqx.tree_at(lambda s: s.spheres.kgr, scene, jnp.zeros(2))
+    assert not getattr(st.needs(scene), name) or name in ("clear", "depth")
+    if name == "clear":
+        assert operations(scene, shadows=True, clear=(0,)) < operations(scene, shadows=True)
+    elif name == "depth":
+        assert operations(scene, depth=0) < operations(scene)
+    else:
+        base = {"colors": True} if name == "tinted" else {}
+        assert operations(scene, **base) < operations(scene, **base, **{name: True})
+
+
+def test_every_feature_is_explained_and_the_explanation_agrees_with_the_needs():
+    scene = SCENES["planes"]
+    explained = {name: needed for name, needed, _ in left_out(scene)}
+    assert set(explained) == set(FEATURES) - {"dark_paths", "clear", "depth"} | {"antialias"}
+    assert not explained.pop("antialias")
+    found = st.needs(scene)
+    assert all(getattr(found, name) == needed for name, needed in explained.items())
+    assert all(why for *_, why in left_out(scene))
+
+
+def test_a_camera_on_the_wall_of_a_sphere_counts_as_inside():
+    scene = eqx.tree_at(lambda s: s.spheres.radius, SCENES["inside"], jnp.array([200.0, 10]))
+    assert st.needs(scene).inside

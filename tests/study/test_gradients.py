@@ -1,0 +1,114 @@
+"""Derivatives across scenes and parameters: the table is `check_gradients`."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.extend.core
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import SCENES, nine_spheres
+
+import spheretrace_jax as st
+
+SIZE = dict(width=20, height=20, bounces=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "highlight"),
+    [
+        pytest.param("two_coloured_lights", "blinn", marks=pytest.mark.slow),
+        ("glass", "phong"),
+        pytest.param("planes", "phong", marks=pytest.mark.slow),
+        pytest.param("textures", "phong", marks=pytest.mark.slow),
+        pytest.param("inside", "phong", marks=pytest.mark.slow),
+    ],
+)
+def test_forward_reverse_and_differences_agree_by_every_parameter(name, highlight):
+    scene = SCENES[name]
+    table = st.check_gradients(scene, highlight=highlight, **SIZE)
+    arrays = [leaf for leaf in jax.tree.leaves(scene) if leaf.size]
+    assert len(table.rows) == len(arrays), "every array of the scene has its row"
+    for row in table.rows:
+        assert row.forward < 1e-6, row
+        assert row.reverse < 1e-14, row
+        assert row.left_out <= 0.05 * row.pixels, row
+    moving = [row.parameter for row in table.rows if row.largest > 0]
+    assert {"spheres.center", "spheres.radius", "spheres.color", "camera.theta"} <= set(moving)
+
+
+def test_what_the_table_leaves_out_lies_on_edges():
+    table = st.check_gradients(nine_spheres(), width=48, height=48, bounces=0)
+    rows = {row.parameter: row for row in table.rows}
+    # colours move no edges, so nothing is left out; moving centres and lights does
+    for name in ("color", "ka", "kd", "ks"):
+        assert rows[f"spheres.{name}"].left_out == 0
+    assert all(row.pixels == 48 * 48 for row in table.rows)
+    assert f"{rows['spheres.ka'].left_out} of 2304" in str(table)
+
+
+def test_a_wrong_derivative_is_caught():
+    # needs of the scene as it is: rays are not followed into spheres whose kgr is 0 now
+    scene = SCENES["mirrors"]
+    table = st.check_gradients(scene, needs=st.needs(scene), **SIZE)
+    rows = {row.parameter: row for row in table.rows}
+    assert rows["spheres.kgr"].forward > 0.1
+    assert rows["spheres.color"].forward < 1e-5
+    assert table.worst == max(max(r.forward, r.reverse) for r in table.rows)
+
+
+def programs(jaxpr: jax.extend.core.Jaxpr) -> Iterator[jax.extend.core.Jaxpr]:
+    """A program and all that it contains."""
+    yield jaxpr
+    for equation in jaxpr.eqns:
+        for inner in jax.extend.core.jaxprs_in_params(equation.params):
+            yield from programs(inner)
+
+
+def equal_maxima(function, *arguments) -> list[str]:
+    """Where the derivative of a function asks whether a number is the maximum or minimum.
+
+    That is how jax 0.10 differentiates both, and fails where XLA rounds twice (`vec.larger`).
+    """
+    slopes = lambda *a: jax.jvp(function, a, jax.tree.map(jnp.ones_like, a))
+    found = []
+    for program in programs(jax.make_jaxpr(slopes)(*arguments).jaxpr):
+        extremes = {
+            v for e in program.eqns if e.primitive.name in ("max", "min") for v in e.outvars
+        }
+        equal = [e for e in program.eqns if e.primitive.name == "eq"]
+        found += [str(e) for e in equal if any(v in extremes for v in e.invars if v.aval.shape)]
+    return found
+
+
+@pytest.mark.skipif(jax.__version_info__ >= (0, 12), reason="jax asks which number is larger")
+@pytest.mark.parametrize("antialias", [0, 1])
+@pytest.mark.parametrize("name", ["planes", "glass", "textures"])
+def test_no_derivative_asks_whether_a_number_is_the_maximum(name, antialias):
+    scene = SCENES[name].with_antialias(antialias)
+    known = st.needs(scene, free=("center", "radius", "ks", "kgr"))
+    assert not equal_maxima(lambda s: st.render(s, needs=known, **SIZE), scene)
+    assert equal_maxima(lambda x: jnp.maximum(x, 1), jnp.zeros(3))
+
+
+def test_float32_scenes_are_checked_in_float64():
+    scene = SCENES["diffuse"].astype(jnp.float32)
+    known = st.needs(scene)  # without mirrors, which compile for long
+    assert st.check_gradients(scene, needs=known, width=8, height=8).worst < 1e-5
+
+
+@pytest.mark.parametrize(
+    "name",
+    [n if n == "shadows" else pytest.param(n, marks=pytest.mark.slow) for n in SCENES],
+)
+def test_gradients_of_float32_pictures_are_finite_and_near_those_of_float64(name):
+    scene = SCENES[name]
+    needs = st.needs(scene, free=("ks", "kgr"))
+    loss = lambda s: jnp.mean(st.render(s, needs=needs, **SIZE) ** 2)
+    gradients = [jax.grad(loss)(scene.astype(dtype)) for dtype in (jnp.float32, jnp.float64)]
+    for single, double in zip(*map(jax.tree.leaves, gradients), strict=True):
+        assert np.isfinite(single).all()
+        if double.size:
+            np.testing.assert_allclose(
+                single, double, atol=2e-3 * float(jnp.abs(double).max()) + 1e-9
+            )
