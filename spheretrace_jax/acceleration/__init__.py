@@ -1,0 +1,1 @@
+"""Acceleration structures: which of very many spheres a ray may meet."""

@@ -1,0 +1,1 @@
+"""Analytic antialiasing: exact areas of edges inside pixels."""

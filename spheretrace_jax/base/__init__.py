@@ -1,0 +1,1 @@
+"""What everything else rests on: array types, vectors, safe mathematics, errors."""

@@ -1,0 +1,1 @@
+"""The lecture: rays, shapes, shading, shadows, mirrors. Read this folder first."""

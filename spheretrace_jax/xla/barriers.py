@@ -1,7 +1,7 @@
 """Barriers: values that XLA computes once, instead of again in each of their users."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.core
@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..base.types import PixelArray, Scalar
-from .phases import T
+
+T = TypeVar("T")
 
 
 def compute_once(phase: Callable[[], T], witness: Scalar) -> T:

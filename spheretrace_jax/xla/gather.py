@@ -1,5 +1,7 @@
 """Gathers of table rows, with a reverse pass that sums whole rows per object."""
 
+from typing import TypeVar
+
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -9,7 +11,8 @@ from jaxtyping import Array, Float
 from ..base.types import Ids, PixelArray
 from .barriers import barrier
 from .loops import UNROLL
-from .phases import T
+
+T = TypeVar("T")
 
 # For at most this many pixels rows of short tables are fetched one by one, too: selects are faster
 # for many, but there are a dozen of them for each number, and a third of what there is to compile

@@ -2,14 +2,15 @@
 
 from collections.abc import Callable
 from functools import cache, wraps
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
 
-from .phases import T
+T = TypeVar("T")
+
 
 P = ParamSpec("P")
 

@@ -1,6 +1,7 @@
 """Loops over objects and strips of pixels, in the form that XLA runs fastest."""
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.core
@@ -9,7 +10,8 @@ from jax import lax
 from jaxtyping import Array, Int
 
 from ..base.types import Index
-from .phases import T
+
+T = TypeVar("T")
 
 # Loops over at most this many objects are written out: XLA then keeps the whole loop in registers.
 UNROLL = 16

@@ -1,12 +1,13 @@
 """Rematerialisation: what the reverse pass computes again, and what it keeps."""
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.core
 from jax.ad_checkpoint import checkpoint_name
 
-from .phases import T
+T = TypeVar("T")
 
 
 def save_residuals(values: T) -> T:

@@ -1,0 +1,1 @@
+"""What a fit works with: free parameters, lights in projective space, targets."""

@@ -1,0 +1,1 @@
+"""Levenberg-Marquardt with bounds, its driver, and the search for lights."""
