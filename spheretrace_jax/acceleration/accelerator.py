@@ -29,20 +29,20 @@ MOST = 1 << 24
 class Accelerator(eqx.Module):
     """What spheres there are along the rays of a picture."""
 
-    view: ScreenTiles  #: along those from the eye
+    screen_tiles: ScreenTiles  #: along those from the eye
     lights: Float[Array, "m 3"]
-    lamps: LightBuffer | None  #: along those to each of the lights
-    grid: UniformGrid | None  #: along any
+    light_buffers: LightBuffer | None  #: along those to each of the lights
+    uniform_grid: UniformGrid | None  #: along any
 
     def of_strip(self, first_row: Int[Array, ""]) -> "Accelerator":
         """The lists for the rays of full rows of pixels from one on, a multiple of `TILE`."""
-        return eqx.tree_at(lambda s: s.view, self, self.view.of_strip(first_row))
+        return eqx.tree_at(lambda s: s.screen_tiles, self, self.screen_tiles.of_strip(first_row))
 
-    def lamp(self, light: Vec) -> tuple[Bool[Array, ""], LightBuffer]:
+    def light_buffer(self, light: Vec) -> tuple[Bool[Array, ""], LightBuffer]:
         """Whether there are lists for a light at some place, and these."""
         here = jnp.all(self.lights == jnp.stack([light.x, light.y, light.z])[None], axis=1)
         which = jnp.argmax(here)
-        return here[which], jax.tree.map(lambda x: x[which], self.lamps)
+        return here[which], jax.tree.map(lambda x: x[which], self.light_buffers)
 
 
 def build_accelerator(

@@ -93,7 +93,7 @@ class Bins(eqx.Module):
         """The cells of some columns, rows and so on."""
         return _number(columns, self.counts)
 
-    def over(
+    def visit(
         self,
         cell: Ids,
         meet: Visit,

@@ -24,9 +24,9 @@ class LightBuffer(eqx.Module):
     """The spheres that may stand between a light and what it shines on."""
 
     chart: "LightProjection"
-    cells: Bins
+    bins: Bins
 
-    def over(
+    def visit(
         self, point: Vec, some: Mask, meet: Visit, rays: Any, state: T, done: Callable[[T], Mask]
     ) -> T:
         """What becomes of points' states by meeting the spheres that may shade them.
@@ -34,9 +34,9 @@ class LightBuffer(eqx.Module):
         **Arguments:** `some`: which points there are. `rays`: what `meet` has to know of them.
         """
         shape = some.shape
-        cell = jnp.where(some, self.cells.at(*self.chart.places(point)), -1).reshape(-1)
+        cell = jnp.where(some, self.bins.at(*self.chart.places(point)), -1).reshape(-1)
         rays, state = jax.tree.map(jnp.ravel, (rays, state))
-        state = self.cells.over(cell, meet, rays, state, done)
+        state = self.bins.visit(cell, meet, rays, state, done)
         return jax.tree.map(lambda plane: plane.reshape(shape), state)
 
 
@@ -101,8 +101,8 @@ class LightProjection(eqx.Module):
             x, r = x * per / bottom, sine / bottom
             r = r + (SLACK * jnp.finfo(r.dtype).eps) * (jnp.abs(x) + r) / bottom
             low.append(jnp.where(whole, 0, self._cell(x - r, axis)))
-            high.append(jnp.where(whole, self.cells, self._cell(x + r, axis)))
-        return bounds_2d(low, high, [self.cells] * 2, step=2**0.5)
+            high.append(jnp.where(whole, self.bins, self._cell(x + r, axis)))
+        return bounds_2d(low, high, [self.bins] * 2, step=2**0.5)
 
     def _cell(self, x: PixelArray, axis: int) -> PixelArray:
         """From the projection's coordinates to cells: evenly amid the spheres, and beyond that the
@@ -111,7 +111,7 @@ class LightProjection(eqx.Module):
         x = (x - self.middle[axis]) / self.spread[axis]
         far = jnp.abs(x) > 1
         beyond = jnp.sign(x) * (1 - (1 - AMID) / jnp.where(far, jnp.abs(x), 1))
-        return (jnp.where(far, beyond, x * AMID) + 1) * (self.cells / 2)
+        return (jnp.where(far, beyond, x * AMID) + 1) * (self.bins / 2)
 
 
 def light_projection(light: Vec, spheres: int, group: Cluster) -> LightProjection:

@@ -23,27 +23,27 @@ TILE = 8
 class ScreenTiles(eqx.Module):
     """The spheres of each tile of a picture."""
 
-    cells: Bins
+    bins: Bins
     row: Int[Array, ""] | None = None  #: of tiles, with which a strip of pixels starts, if any
 
     def of_strip(self, first_row: Int[Array, ""]) -> "ScreenTiles":
         """The view from pixels on that start at a row, a multiple of `TILE`."""
-        return ScreenTiles(self.cells, first_row // TILE)
+        return ScreenTiles(self.bins, first_row // TILE)
 
-    def over(self, rays: Any, meet: Visit, state: T, done: Callable[[T], Mask]) -> T:
+    def visit(self, rays: Any, meet: Visit, state: T, done: Callable[[T], Mask]) -> T:
         """What becomes of a strip's pixels by meeting the spheres of their tiles.
 
         **Arguments:** `rays`, `state`: what `meet` has to know of each ray, and what it changes.
         """
         shape = jax.tree.leaves(state)[0].shape
         rows, columns = (-(-n // TILE) for n in shape)
-        step = self.cells.width.astype(jnp.int32)
+        step = self.bins.width.astype(jnp.int32)
         assert self.row is not None
         row = (self.row + jnp.arange(rows, dtype=jnp.int32)) // step
         column = jnp.arange(columns, dtype=jnp.int32) // step
-        cell = self.cells.cell(column[None, :], row[:, None]).reshape(-1, 1)
+        cell = self.bins.cell(column[None, :], row[:, None]).reshape(-1, 1)
         rays, state = jax.tree.map(tiles, (rays, state))
-        state = self.cells.over(cell, meet, rays, state, done)
+        state = self.bins.visit(cell, meet, rays, state, done)
         return jax.tree.map(lambda plane: untiled(plane, shape), state)
 
 

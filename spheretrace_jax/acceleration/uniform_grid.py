@@ -31,9 +31,9 @@ class UniformGrid(eqx.Module):
 
     low: Vec  #: a corner of the grid
     side: Scalar  #: of a finest cell
-    cells: Bins
+    bins: Bins
 
-    def over(
+    def visit(
         self,
         ray: Ray,
         alive: Mask,
@@ -48,7 +48,7 @@ class UniformGrid(eqx.Module):
         `reach`: from a state to how far along the ray it matters what is met: where the next box
         is further away than that, a ray ends.
         """
-        shape, cells = alive.shape, self.cells
+        shape, cells = alive.shape, self.bins
         flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
         rays, state, alive, ray = jax.tree.map(flat, (rays, state, alive, ray))
         low = jax.tree.map(flat, self.low)
@@ -80,12 +80,12 @@ class UniformGrid(eqx.Module):
         self, start: list[PixelArray], slope: list[PixelArray], box: Ids, reach: PixelArray
     ) -> Ids:
         """The box after one on rays, -1 after the last, or if it is further away than `reach`."""
-        columns, counts = _columns(box), self.cells.counts
+        columns, counts = _columns(box), self.bins.counts
         exits, ahead = [], []
         for axis, column in enumerate(columns):
             up = slope[axis] > 0
             last = jnp.where(up, column == counts[axis] - 1, column == 0) | (slope[axis] == 0)
-            border = (column + up.astype(jnp.int32)).astype(reach.dtype) * self.cells.width
+            border = (column + up.astype(jnp.int32)).astype(reach.dtype) * self.bins.width
             away = (border - start[axis]) / jnp.where(last, 1, slope[axis])
             exits.append(jnp.where(last, jnp.inf, away))
             ahead.append(jnp.where(up, 1, -1).astype(jnp.int32))

@@ -65,8 +65,8 @@ def closest_hit(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | None 
 def _nearest_sphere(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | None) -> Best:
     dtype, shape, lists = ray.direction.x.dtype, ray.direction.x.shape, world.lists
     best = jnp.full(shape, jnp.inf, dtype), jnp.full(shape, -1, jnp.int32)
-    in_strip = lists is not None and leaving is None and lists.view.row is not None
-    if lists is None or (not in_strip and lists.grid is None):
+    in_strip = lists is not None and leaving is None and lists.screen_tiles.row is not None
+    if lists is None or (not in_strip and lists.uniform_grid is None):
 
         def meet(i: Index, best: Best) -> Best:
             ball = table_row(world.balls, i)
@@ -86,14 +86,14 @@ def _nearest_sphere(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | N
         return _pack(_nearer(now, t, skip, i, in_order=False))
 
     packed = _pack(best)
-    if lists.grid is None or in_strip:
+    if lists.uniform_grid is None or in_strip:
         never = lambda best: jnp.full(best.shape, False)
-        packed = lists.view.over((ray.direction, None, None), meet_listed, packed, never)
+        packed = lists.screen_tiles.visit((ray.direction, None, None), meet_listed, packed, never)
     else:
         whole = lambda x: jnp.broadcast_to(x, shape)
         rays = ray.direction, jax.tree.map(whole, ray.origin), leaving
         alive = jnp.full(shape, True) if leaving is None else leaving.id >= 0
-        packed = lists.grid.over(ray, alive, meet_listed, rays, packed, lambda best: best.real)
+        packed = lists.uniform_grid.visit(ray, alive, meet_listed, rays, packed, lambda best: best.real)
     return packed.real, packed.imag.astype(jnp.int32)
 
 
@@ -207,12 +207,12 @@ def light_visible(world: SceneTables, point: Vec, hit: Hit, light: Vec, needs: N
 
         rays = point, to_light, square, Hit(hit.id.astype(jnp.int32), hit.inside)
         blocked = jnp.full(square.shape, False)
-        return lamp.over(nearby, hit.id >= 0, meet, rays, blocked, lambda blocked: blocked)
+        return lamp.visit(nearby, hit.id >= 0, meet, rays, blocked, lambda blocked: blocked)
 
     def behind_spheres() -> Mask:
-        if world.lists is None or world.lists.lamps is None:
+        if world.lists is None or world.lists.light_buffers is None:
             return behind_any()
-        known, lamp = world.lists.lamp(light_)
+        known, lamp = world.lists.light_buffer(light_)
         return jax.lax.cond(known, behind_listed, lambda _: behind_any(), lamp)
 
     def behind_plane(i, blocked):
