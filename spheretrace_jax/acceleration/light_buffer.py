@@ -101,8 +101,8 @@ class LightProjection(eqx.Module):
             x, r = x * per / bottom, sine / bottom
             r = r + (SLACK * jnp.finfo(r.dtype).eps) * (jnp.abs(x) + r) / bottom
             low.append(jnp.where(whole, 0, self._cell(x - r, axis)))
-            high.append(jnp.where(whole, self.bins, self._cell(x + r, axis)))
-        return bounds_2d(low, high, [self.bins] * 2, step=2**0.5)
+            high.append(jnp.where(whole, self.cells, self._cell(x + r, axis)))
+        return bounds_2d(low, high, [self.cells] * 2, step=2**0.5)
 
     def _cell(self, x: PixelArray, axis: int) -> PixelArray:
         """From the projection's coordinates to cells: evenly amid the spheres, and beyond that the
@@ -111,7 +111,7 @@ class LightProjection(eqx.Module):
         x = (x - self.middle[axis]) / self.spread[axis]
         far = jnp.abs(x) > 1
         beyond = jnp.sign(x) * (1 - (1 - AMID) / jnp.where(far, jnp.abs(x), 1))
-        return (jnp.where(far, beyond, x * AMID) + 1) * (self.bins / 2)
+        return (jnp.where(far, beyond, x * AMID) + 1) * (self.cells / 2)
 
 
 def light_projection(light: Vec, spheres: int, group: Cluster) -> LightProjection:
