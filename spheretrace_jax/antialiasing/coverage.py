@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from ..base.safe_math import clamp, larger, safe_sqrt, smaller
 from ..base.types import PixelArray
 from ..base.vec import Vec, cross, dot, unit
+from ..tracing.differential import Differential
 from ..xla.barriers import barrier
-from .differential import Differential
 from .polygon import HalfPlane, half_plane_of, half_plane_with_area
 
 # Where rounding is more than one part in this many of a parallelogram's area, as it is seen too

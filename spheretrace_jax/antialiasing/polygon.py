@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 
 from ..base.safe_math import larger, safe_sqrt, smaller
 from ..base.types import Index, Mask, PixelArray
+from ..tracing.differential import Differential
 from ..xla.loops import loop
-from .differential import Differential
 
 # The box's half diagonal is 0.71: a line this far away does not cut it.
 _FAR = 1.0

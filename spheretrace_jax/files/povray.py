@@ -163,9 +163,11 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
 
 def _meets(world: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
     """Whether sphere i meets another object or holds the eye."""
-    center, radius = _points(world.balls.center), np.asarray(world.balls.radius)
+    center, radius = _points(world.spheres.center), np.asarray(world.spheres.radius)
     others = np.arange(world.spheres) != i
-    from_planes = np.sum((_points(world.flats.point) - center[i]) * _points(world.flats.normal), 1)
+    from_planes = np.sum(
+        (_points(world.planes.point) - center[i]) * _points(world.planes.normal), 1
+    )
     return bool(
         np.linalg.norm(eye - center[i]) < radius[i]
         or (np.abs(from_planes) < radius[i]).any()

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..base.types import Highlight, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit
-from .tables import Surface
+from .hit import Surface
 
 
 def lambert(surface: Surface, to_light: Vec) -> PixelArray:
@@ -22,7 +22,7 @@ def phong(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
 
     **Arguments:** `to_light`: unit vectors L. `direction`: the rays' directions, -V.
     """
-    return 2 * lambert(surface, to_light) * surface.facing + dot(to_light, direction)
+    return 2 * lambert(surface, to_light) * surface.cos_view + dot(to_light, direction)
 
 
 def blinn(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
@@ -32,7 +32,7 @@ def blinn(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
     """
     length = norm(to_light - direction)
     some = length > 0
-    cosine = (lambert(surface, to_light) + surface.facing) / jnp.where(some, length, 1)
+    cosine = (lambert(surface, to_light) + surface.cos_view) / jnp.where(some, length, 1)
     return jnp.where(some, cosine, 0)
 
 

@@ -66,23 +66,23 @@ def worn(number: Ids, outward: Vec, images: tuple, pic: tuple[int, ...]) -> Vec:
     return factor
 
 
-def other_square(world: SceneTables, number: Ids, point: Vec) -> tuple[Mask, Vec]:
+def other_square(tables: SceneTables, number: Ids, point: Vec) -> tuple[Mask, Vec]:
     """Whether a point lies on a checker's other squares, and the colour that these have.
 
     Squares have a corner at the plane's point; their sides run along the world's x axis laid into
     the plane (y, where the normal is nearest to x) and across it.
     """
-    flat, checker = gather_rows((world.flats, world.checkers), number - world.spheres)
-    n = jax.lax.stop_gradient(flat.normal)
+    plane, checker = gather_rows((tables.planes, tables.checkers), tables.plane_rows(number))
+    n = jax.lax.stop_gradient(plane.normal)
     steep = (jnp.abs(n.x) > jnp.abs(n.y)) & (jnp.abs(n.x) > jnp.abs(n.z))
     zero, one = jnp.zeros_like(n.x), jnp.ones_like(n.x)
     axis = where(steep, Vec(zero, one, zero), Vec(one, zero, zero))
     along = axis - n * dot(axis, n)
     along = along * (1 / norm(along))
     across = cross(n, along)
-    offset = jax.lax.stop_gradient(point - flat.point)
+    offset = jax.lax.stop_gradient(point - plane.point)
     size = jax.lax.stop_gradient(checker.size)
-    some = (number >= world.spheres) & (size > 0)
+    some = tables.is_plane(number) & (size > 0)
     side = jnp.where(some, size, 1)
     squares = jnp.floor(dot(offset, along) / side) + jnp.floor(dot(offset, across) / side)
     return some & (squares % 2 != 0), checker.color

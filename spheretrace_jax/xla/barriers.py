@@ -13,6 +13,16 @@ from ..base.types import PixelArray, Scalar
 T = TypeVar("T")
 
 
+def unknown_one() -> Scalar:
+    """Returns a 1 that XLA does not know, for `compute_once`: the value of a library call.
+
+    A number of the scene would do as long as the scene is an argument of the compiled function.
+    Where the scene is a constant, XLA would know that number and drop the branches made on it.
+    """
+    one = jnp.ones((1, 1), jnp.float32)
+    return one[0, 0] if jax.default_backend() != "cpu" else lax.linalg.cholesky(one)[0, 0]
+
+
 def compute_once(phase: Callable[[], T], witness: Scalar) -> T:
     """The value of `phase()`, computed once and kept, not fused into each of its users.
 
@@ -21,7 +31,7 @@ def compute_once(phase: Callable[[], T], witness: Scalar) -> T:
     a ray's hit point again in each phase is faster than to read it (13 against 17 ms). So is to
     compute a phase again in the reverse pass (140 against 190 ms for a gradient).
 
-    **Arguments:** `witness`: a number of the scene that is greater than -1, known only at run time.
+    **Arguments:** `witness`: a number greater than -1 that XLA does not know, as `unknown_one` is.
     """
     if jax.default_backend() != "cpu":
         return lax.optimization_barrier(phase())
