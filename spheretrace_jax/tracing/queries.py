@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
 from ..acceleration.light_buffer import LightBuffer
+from ..base.safe_math import to_order_one
 from ..base.types import Ids, Index, Mask, PixelArray, Scalar
-from ..base.vec import Vec, cross, dot, parts, to_order_one
+from ..base.vec import Vec, cross, dot, parts
 from ..scene.camera import Ray
 from ..scene.needs import Needs
 from ..xla.barriers import compute_once
@@ -93,7 +94,9 @@ def _nearest_sphere(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | N
         whole = lambda x: jnp.broadcast_to(x, shape)
         rays = ray.direction, jax.tree.map(whole, ray.origin), leaving
         alive = jnp.full(shape, True) if leaving is None else leaving.id >= 0
-        packed = lists.uniform_grid.visit(ray, alive, meet_listed, rays, packed, lambda best: best.real)
+        packed = lists.uniform_grid.visit(
+            ray, alive, meet_listed, rays, packed, lambda best: best.real
+        )
     return packed.real, packed.imag.astype(jnp.int32)
 
 
