@@ -101,8 +101,8 @@ def sampled(scene: Scene, settings: RenderSettings) -> tuple[Vec | Picture, Mask
 
     Where edges are covered, in planes, with the rows above and below.
     """
-    size = settings.width, settings.height
-    known = build_accelerator(scene, size, settings.needs, settings.bounces, settings.rows)
+    spheres = scene.spheres
+    known = build_accelerator(Vec(*spheres.center.T), spheres.radius, scene, settings)
     world, k = build_tables(scene).listed(known), settings.samples
     places = sample_places(scene, settings)
     if k == 1:

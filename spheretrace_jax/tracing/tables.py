@@ -113,7 +113,7 @@ class SceneTables(eqx.Module):
         """The world seen by a strip of full rows of pixels from one on."""
         if self.lists is None:
             return self
-        return eqx.tree_at(lambda w: w.lists, self, self.lists.of_strip(first_row))
+        return eqx.tree_at(lambda w: w.lists, self, self.lists.from_row(first_row))
 
     @property
     def tables(self) -> PixelTables:
