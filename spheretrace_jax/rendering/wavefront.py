@@ -1,8 +1,8 @@
-"""What rays see: their first hits, and what their paths see from the first bounce on.
+"""Wavefront path tracing: first hits, then the radiance along reflected and transmitted paths.
 
-Each bounce has two halves. The discrete one finds, without derivatives, which objects are met; the
-smooth one follows the path along these and adds their colours (`paths.py`). Of the few paths of
-pixels with edges both are done at once (`followed`).
+Each bounce has two halves. The discrete half finds, without derivatives, the objects that paths
+hit. The smooth half retraces the paths along these hits and adds their colours (`tracing/path.py`).
+For the few paths of pixels with edges, `trace_path` does both halves at once.
 """
 
 import math
@@ -32,10 +32,10 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 Add = Callable[[Any, Mask, Callable, Any], Any]
-"""One of `_add_all` and `_add_rows`."""
+"""One of `_add_all` and `_add_rows`: how to work on the surviving paths only."""
 
-# Paths are followed beyond their first hit this many at a time, in rows of so many neighbours: to
-# look up each of them takes ten times as long.
+# Paths per chunk of the compacted wavefront, and neighbouring pixels per gathered row. Larger
+# chunks and rows trace more dead paths. To gather each path alone takes ten times as long as rows.
 CHUNK, SIDE = 1 << 13, 16
 
 
@@ -46,10 +46,12 @@ def ray_radiance(
     settings: RenderSettings,
     cone: RayCone | None = None,
 ) -> tuple[Vec, Mask]:
-    """The colour that each ray from the eye sees, and whether an edge may run through its pixel.
+    """Computes the radiance along each primary ray, and the edge mask.
 
-    **Arguments:** `cone`: how wide the pixels are, None to look for no edges, which are looked for
-    at the first two hits.
+    **Arguments:** `cone`: the pixels' cones, to detect edges at the first two hits; None to skip
+    the detection.
+
+    **Returns:** the colours, and the mask of pixels through which an edge may run.
     """
     hit = closest_hit(world, ray, settings.needs)
     one = jnp.ones_like(ray.direction.x)
@@ -68,12 +70,12 @@ def ray_radiance(
 
 
 def trace_path(scene: Scene, world: SceneTables, path: Path, settings: RenderSettings) -> Vec:
-    """What a few paths see from where they are, bounce by bounce; 0 where there are none.
+    """Traces a few paths bounce by bounce and returns their radiance; 0 for dead paths.
 
-    `radiance` finds all hits first, as paths are many and few go on; to do the work of each bounce
-    at once is a third as much to compile.
+    `ray_radiance` finds all hits first, because its paths are many and few survive. Here both
+    halves of a bounce run at once, which is a third as much to compile.
 
-    **Arguments:** `path`: just after a hit, which it leaves.
+    **Arguments:** `path`: paths that leave their current hit.
     """
     needs = settings.needs
 
@@ -99,11 +101,11 @@ def trace_path(scene: Scene, world: SceneTables, path: Path, settings: RenderSet
 def _sequences(
     seen: Callable[[T, Int[Array, ""]], tuple[T, None]], start: T, settings: RenderSettings
 ) -> T:
-    """What all sequences of choices see.
+    """Accumulates the radiance of all sequences of choices at branching hits.
 
-    Where objects both reflect and transmit, a path is a sequence of choices, bit b of a number:
-    reflect (0) or go straight on (1) at hit b. Sequences share beginnings, so hit b counts only in
-    the one that chooses 0 from there on.
+    Where objects both reflect and transmit, a path is a sequence of choices, the bits of a number:
+    reflect (0) or transmit (1) at hit b. Sequences share prefixes, so that hit b counts only in the
+    sequence with choices 0 from bit b on.
     """
     if not settings.needs.branching:
         return seen(start, jnp.zeros((), jnp.int32))[0]
@@ -120,13 +122,14 @@ def _further(
     settings: RenderSettings,
     choices: Int[Array, ""],
 ) -> tuple[Vec, Mask]:
-    """Adds what paths see from their first bounce on, and the edges at that.
+    """Adds the radiance of all bounces after the first hit, and the edges at the first bounce.
 
-    Of a picture's paths half may go on, and fewer meet anything then: only these are followed, and
-    only those shaded (a gradient of three bounces takes 70 ms, not 150).
+    Compacts the wavefront: traces only surviving paths and shades only those that hit something.
+    Half of a picture's paths may survive, and fewer of them hit anything (a gradient of three
+    bounces takes 70 ms, not 150).
     """
     needs, shape, add, laid = settings.needs, edge.shape, _add_all, edge.shape
-    # in a fit's Jacobian pixels have tables and lights of their own; they are few
+    # a fit's Jacobian has tables and lights per pixel, but few pixels: no compaction
     if edge.size > CHUNK and world.own is None:
         add, laid = _add_rows, (-1, math.gcd(edge.size, SIDE))
     place = lambda x: jnp.broadcast_to(x, shape).reshape(laid)
@@ -148,16 +151,16 @@ def _further(
 
 
 def _add_all(values: T, marked: Mask, work: Callable[[U, Mask], T], given: U) -> T:
-    """`values` with those of `work` added, if any are marked.
+    """Adds the values of `work` on all pixels, unless no pixel is marked.
 
-    **Arguments:** `work`: from what is given of some pixels, and which of them are marked.
+    **Arguments:** `work`: from the inputs of pixels and the mask of marked pixels to their values.
     """
     add = lambda: jax.tree.map(jnp.add, values, work(given, marked))
     return lax.cond(jnp.any(marked), add, lambda: values)
 
 
 def _add_rows(values: T, marked: Mask, work: Callable[[U, Mask], T], given: U) -> T:
-    """The same, but only rows of pixels are worked on in which some are marked."""
+    """Adds the values of `work` on the rows that contain marked pixels (stream compaction)."""
 
     def some(places: Ids, counts: Mask) -> T:
         take = lambda x: x.at[places].get(mode="promise_in_bounds")
@@ -168,12 +171,12 @@ def _add_rows(values: T, marked: Mask, work: Callable[[U, Mask], T], given: U) -
 
 
 class _Found(eqx.Module):
-    """What is found of paths at a bounce, as numbers that are 0 where they are not followed."""
+    """The hits of paths at one bounce, as integers that are 0 for dead paths (for `add_where`)."""
 
-    id: Ids  #: one more than the number of the object hit
+    id: Ids  #: one more than the id of the object hit
     inside: Int8[Array, "*pixels"]
-    on: Int8[Array, "*pixels"]  #: whether the path goes on
-    edge: Int8[Array, "*pixels"]  #: whether an edge may run through the pixel
+    on: Int8[Array, "*pixels"]  #: 1 if the path survives
+    edge: Int8[Array, "*pixels"]  #: 1 if an edge may run through the pixel
 
 
 def _follow(
@@ -185,14 +188,14 @@ def _follow(
     choices: Int[Array, ""],
     add: Add,
 ) -> tuple[Hit, Mask]:
-    """What paths hit from their first bounce on; without derivatives.
+    """Traces the hits of paths from their first bounce on; the discrete half, no derivatives.
 
-    What is kept of paths are their hits, from which they are found again at each bounce.
+    Only hits are stored; each bounce retraces the paths from their hits.
 
-    **Arguments:** `on`: which paths go on. `add`: how to work on these only.
+    **Arguments:** `on`: the mask of surviving paths. `add`: works on these paths only.
 
-    **Returns:** the hits, with an axis for the bounces after the first one, and whether an edge may
-    run through the pixel at the first bounce.
+    **Returns:** the hits, with an axis for the bounces after the first one, and the mask of pixels
+    through which an edge may run at the first bounce.
     """
     needs, lights = settings.needs, scene.lights.position
     world, first, lights = lax.stop_gradient((world, first, lights))
@@ -234,7 +237,7 @@ def _after(
     settings: RenderSettings,
     choices: Int[Array, ""],
 ) -> Path:
-    """A path after so many of its hits."""
+    """Retraces paths along their first `number` hits."""
 
     def step(path: Path, known: tuple[Index, Hit]) -> tuple[Path, None]:
         k, hit = known
@@ -257,7 +260,10 @@ def _shaded(
     settings: RenderSettings,
     choices: Int[Array, ""],
 ) -> Vec:
-    """What paths see from their first bounce on. **Arguments:** `hits`: those of `_follow`."""
+    """Shades paths along their hits from the first bounce on; the smooth half.
+
+    **Arguments:** `hits`: from `_follow`.
+    """
     needs = settings.needs
 
     def bounce(state: tuple[Path, Vec], known: tuple[Index, Hit]) -> tuple[tuple[Path, Vec], None]:
