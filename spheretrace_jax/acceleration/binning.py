@@ -47,8 +47,9 @@ NO_SPHERE = -2
 # dozen operations find a hit. Bounding boxes grow by this bound.
 ROUNDING_ULPS = 16
 
-# The region of most spheres is estimated from this many of them, evenly spaced in the table, as
-# the range between the quantiles 1 - CLUSTER_QUANTILE and CLUSTER_QUANTILE.
+# Number of spheres, evenly spaced in the table, that estimate the region of most spheres, and the
+# quantile that bounds the region: 3 % of the centres are cut off at each end of each axis. More
+# samples take longer to sort; a higher quantile makes cells coarser where there are outliers.
 CLUSTER_SAMPLES, CLUSTER_QUANTILE = 1 << 10, 0.97
 
 # Distance, in extents of the cluster, up to which the slack of bounding boxes covers the rounding

@@ -108,8 +108,8 @@ class LightProjection(eqx.Module):
     def bounds(self, center: Vec, radius: PixelArray) -> BinBounds:
         """Bounds the projections of spheres, in cells.
 
-        A cap of angular radius a around u becomes a circle around (u.x, u.y) / (u.z + cos a) of
-        radius sin a / (u.z + cos a).
+        A cap of angular radius a around u becomes a circle. Its centre is
+        (u.x, u.y) / (u.z + cos a), its radius sin a / (u.z + cos a).
         """
         v = self.from_light(center)
         distance = norm(v)

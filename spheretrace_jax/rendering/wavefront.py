@@ -194,7 +194,7 @@ def _follow(
 
     **Arguments:** `on`: the mask of surviving paths. `add`: works on these paths only.
 
-    **Returns:** the hits, with an axis for the bounces after the first one, and the mask of pixels
+    **Returns:** the hits, with an axis for the bounces from the first on. Also the mask of pixels
     through which an edge may run at the first bounce.
     """
     needs, lights = settings.needs, scene.lights.position
