@@ -3,8 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..base.safe_math import to_order_one
 from ..base.types import PixelArray
-from ..base.vec import Vec, to_order_one, unit
+from ..base.vec import Vec, unit
 from .scene import Camera
 
 

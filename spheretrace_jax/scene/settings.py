@@ -1,6 +1,7 @@
 """`Options`: what a picture is besides its scene, checked."""
 
 import dataclasses
+from typing import get_args
 
 import equinox as eqx
 from jax.sharding import NamedSharding
@@ -8,7 +9,6 @@ from jaxtyping import Array, Float
 
 from ..base.errors import InputError
 from ..base.types import Highlight
-from ..tracing.shading import HIGHLIGHTS
 from ..xla.sharding import Rows, rows_of_device, rows_sharding
 from .needs import Needs, needs as needs_of
 from .scene import Scene
@@ -63,8 +63,9 @@ def render_settings(
             raise InputError(f"{name} must be at least {least}, got {value}")
     if not 1 <= samples <= MOST_SAMPLES:
         raise InputError(f"samples must be in 1..{MOST_SAMPLES}, got {samples}")
-    if highlight not in HIGHLIGHTS:
-        raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
+    highlights = get_args(Highlight)
+    if highlight not in highlights:
+        raise InputError(f"highlight must be one of {', '.join(highlights)}, got {highlight!r}")
     needs = needs_of(scene) if needs is None else needs
     bounces = bounces if needs.bounces else 0
     if needs.depth is not None:

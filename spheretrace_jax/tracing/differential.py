@@ -1,7 +1,7 @@
-"""`Varying`: a quantity at a pixel's centre and how it varies across the pixel.
+"""Ray differentials: quantities at a pixel's centre with their derivatives across the pixel.
 
-A beam is a varying ray: what Igehy ("Tracing Ray Differentials", SIGGRAPH 1999) calls a ray with
-its differentials. They pass through hits and reflections by the chain rule, which is jax's job.
+A `Differential[Ray]` is what Igehy ("Tracing Ray Differentials", SIGGRAPH 1999) calls a ray with
+its differentials. The chain rule, left to jax, carries them through hits and reflections.
 """
 
 from collections.abc import Callable
@@ -22,9 +22,9 @@ S = TypeVar("S")
 
 
 class Differential(eqx.Module, Generic[T]):
-    """`value`, a pytree of planes, and its derivatives by the position in pixels.
+    """A quantity, a pytree of pixel arrays, and its derivatives by the position in pixels.
 
-    `dx` is the derivative to the right, `dy` the one down.
+    `dx` is the derivative to the right, `dy` the derivative down.
     """
 
     value: T
@@ -32,20 +32,20 @@ class Differential(eqx.Module, Generic[T]):
     dy: T
 
     def map(self, function: Callable[[T], S]) -> "Differential[S]":
-        """`function` of the quantity, by the chain rule."""
+        """Applies `function` to the value, and the chain rule to the derivatives."""
         value, slope = jax.linearize(function, self.value)
         dx, dy = slope(self.dx), slope(self.dy)
-        # the three share most of their work, which would be done again for each of their users
+        # value and derivatives share most of their work, which XLA would repeat for each user
         return barrier(Differential(value, dx, dy))
 
     def beside(self, other: "Differential[S]") -> "Differential[tuple[T, S]]":
-        """Two quantities as one."""
+        """Pairs two quantities into one."""
         return Differential((self.value, other.value), (self.dx, other.dx), (self.dy, other.dy))
 
     def at(self, x: PixelArray, y: PixelArray) -> "Differential[T]":
-        """The same seen from elsewhere in the pixel: x pixels to the right and y down."""
-        wide = lambda v: jnp.broadcast_to(v, jnp.broadcast_shapes(v.shape, x.shape))
-        value, dx, dy = (jax.tree.map(wide, v) for v in (self.value, self.dx, self.dy))
+        """Moves the expansion point by x pixels to the right and y down (first order)."""
+        broadcast = lambda v: jnp.broadcast_to(v, jnp.broadcast_shapes(v.shape, x.shape))
+        value, dx, dy = (jax.tree.map(broadcast, v) for v in (self.value, self.dx, self.dy))
         move = lambda v, dx, dy: v + x * dx + y * dy
         return Differential(barrier(jax.tree.map(move, value, dx, dy)), dx, dy)
 
@@ -57,10 +57,11 @@ def pixel_differentials(
     size: tuple[int, int],
     side: Scalar | float,
 ) -> Differential[Ray]:
-    """The rays of `pixel_rays` with their differentials.
+    """Computes the rays of `pixel_rays` with their differentials.
 
-    **Arguments:** `side`: of the pixel in whole pixels, 1/k for one of k x k samples.
+    **Arguments:** as for `pixel_rays`, and `side`: the side of a sample's box in pixels, 1/k for
+    one of k x k samples.
     """
     zero, step = jnp.zeros_like(columns), jnp.full_like(columns, side)
-    toward = lambda at: unnormalized_rays(camera, at[0], at[1], size)
-    return Differential((columns, rows), (step, zero), (zero, step)).map(toward).map(unit_ray)
+    rays_at = lambda position: unnormalized_rays(camera, position[0], position[1], size)
+    return Differential((columns, rows), (step, zero), (zero, step)).map(rays_at).map(unit_ray)
