@@ -14,8 +14,7 @@ from jaxtyping import Array, Float
 from ..base.safe_math import safe_sqrt
 from ..base.types import Index, Mask, PixelArray
 from ..base.vec import Vec, cross, dot, norm, vec
-from ..scene.camera import Ray, view_frame
-from ..scene.scene import Camera
+from ..scene.camera import Camera, Ray, view_frame
 from ..scene.settings import RenderSettings
 from ..tracing.intersect import perpendicular, ray_plane
 from ..tracing.queries import shadow_scale, table_row

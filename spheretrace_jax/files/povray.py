@@ -20,8 +20,11 @@ from jaxtyping import Array
 from ..base.errors import InputError, SceneError
 from ..base.types import Highlight
 from ..base.vec import Vec
-from ..scene.camera import view_frame
-from ..scene.scene import Camera, Planes, Scene, Spheres, Texture
+from ..scene.camera import Camera, view_frame
+from ..scene.planes import Planes
+from ..scene.scene import Scene
+from ..scene.spheres import Spheres
+from ..scene.texture import Texture
 from ..tracing.shading import HIGHLIGHTS
 from ..tracing.tables import SceneTables, build_tables
 from .atomic import write_text

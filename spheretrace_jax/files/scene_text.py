@@ -36,7 +36,13 @@ import jax
 import numpy as np
 
 from ..base.errors import InputError, PictureError, SceneError, SceneWarning, printable
-from ..scene.scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture, precision
+from ..scene.arrays import precision
+from ..scene.camera import Camera
+from ..scene.lights import Lights
+from ..scene.planes import BackPlane, Planes
+from ..scene.scene import Scene
+from ..scene.spheres import Spheres
+from ..scene.texture import Texture
 from .atomic import write_text
 from .tokens import Token, Tokens, decode
 
