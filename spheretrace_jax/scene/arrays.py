@@ -63,6 +63,6 @@ def misshapen(
 ) -> Iterator[tuple[str, tuple[int, ...]]]:
     """Yields the name and the shape of each field whose shape is not `shape`."""
     for name in names:
-        field: Float[Array, ...] = getattr(objects, name)
+        field = getattr(objects, name)
         if field.shape != shape:
             yield name, field.shape

@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from ...base.types import Highlight, Picture
 from ...rendering.render import draw
-from ...scene.needs import Needs, needs as needs_of
+from ...scene.needs import Needs
 from ...scene.scene import Scene
 from .settings import double_settings
 
@@ -59,9 +59,8 @@ class GradientTable:
 
     rows: tuple[GradientRow, ...]
     antialias: bool = False  #: covered edges, which have derivatives, or single rays
-    idle: dict[str, str] = dataclasses.field(
-        default_factory=dict
-    )  #: arrays without row, and the reasons
+    #: arrays without row, and the reasons
+    idle: dict[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -136,13 +135,9 @@ def check_gradients(
     scene.check_dtype()
     with jax.enable_x64(True):
         idle = _idle(scene, every)
-        if needs is None:
-            needs = needs_of(
-                scene, free=("ks", "kgr", "kt", "background") if every else present(scene)
-            )
         scene, settings = double_settings(
             scene, width, height, highlight=highlight, bounces=bounces, samples=samples,
-            needs=needs,
+            needs=needs, free=("ks", "kgr", "kt", "background") if every else present(scene),
         )  # fmt: skip
         rows = _rows(scene, partial(draw, settings=settings), set(idle), seed)
     return GradientTable(rows, bool(scene.antialias), idle)
