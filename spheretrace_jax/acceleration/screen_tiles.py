@@ -11,8 +11,7 @@ from jaxtyping import Array, Int, Shaped
 
 from ..base.types import Mask, PixelArray
 from ..base.vec import Vec, dot, norm
-from ..scene.camera import view_frame
-from ..scene.scene import Camera
+from ..scene.camera import Camera, view_frame
 from ..xla.sharding import Rows
 from .binning import ROUNDING_ULPS, BinBounds, Bins, T, Visitor, bounds_2d
 

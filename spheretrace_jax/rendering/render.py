@@ -55,7 +55,10 @@ def render(
     **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights and
     shardings that divide other than rows.
     """
-    checked = render_settings(scene, width, height, highlight, bounces, samples, needs, sharding)
+    checked = render_settings(
+        scene, width, height, highlight=highlight, bounces=bounces, samples=samples, needs=needs,
+        sharding=sharding,
+    )  # fmt: skip
     return draw(everywhere(scene, checked.sharding), checked)
 
 

@@ -10,8 +10,9 @@ from jaxtyping import Array, Int
 
 from ..acceleration.accelerator import Accelerator, build_accelerator
 from ..base.types import Ids, Index, PixelArray, Scalar
+from ..scene.lights import Lights
 from ..scene.needs import Needs
-from ..scene.scene import Lights, Scene
+from ..scene.scene import Scene
 from ..scene.settings import RenderSettings
 from ..xla.barriers import compute_once, compute_pair_once, unknown_one
 from ..xla.gather import gather_pixel_rows, gather_rows

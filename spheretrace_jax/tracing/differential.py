@@ -13,8 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Scalar
 
 from ..base.types import PixelArray
-from ..scene.camera import Ray, unit_ray, unnormalized_rays
-from ..scene.scene import Camera
+from ..scene.camera import Camera, Ray, unit_ray, unnormalized_rays
 from ..xla.barriers import barrier
 
 T = TypeVar("T")

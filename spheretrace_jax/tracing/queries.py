@@ -11,8 +11,9 @@ from jaxtyping import Array, Complex
 
 from ..acceleration.accelerator import Accelerator
 from ..acceleration.light_buffer import LightBuffer
+from ..base.safe_math import to_order_one
 from ..base.types import Ids, Index, Mask, PixelArray, Scalar
-from ..base.vec import Vec, parts, to_order_one
+from ..base.vec import Vec, parts
 from ..scene.camera import Ray
 from ..xla.gather import gather_rows
 from ..xla.rematerialization import save_residuals

@@ -271,7 +271,10 @@ def make_problem(
         goal = make_target(image, one.dtype, **{name: x[k] for name, x in each.items()})
         height, width, _ = goal.image.shape
         wanted = needs(one, free=[name for name in free if name != "exposure"])
-        seen = render_settings(one, width, height, highlight, bounces, samples, wanted, sharding)
+        seen = render_settings(
+            one, width, height, highlight=highlight, bounces=bounces, samples=samples,
+            needs=wanted, sharding=sharding,
+        )  # fmt: skip
         if seen.antialias and not fixed:
             seen = dataclasses.replace(seen, box=jnp.ones((), one.dtype))
         settings.append(seen)
