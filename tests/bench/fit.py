@@ -179,7 +179,7 @@ def recovery(count: int) -> None:
                 reported += 1
         lost = count - good
         print(
-            f"  {lights} light(s): {good} of {count} recovered, {reported} of {lost} others reported, "
+            f"  {lights} light(s): {good} of {count} recovered, {reported} of {lost} others say so, "
             f"median {statistics.median(seconds):.2f} s",
             flush=True,
         )
