@@ -159,7 +159,7 @@ def recovery(count: int) -> None:
     print(f"{count} random scenes each, 2 to 20 spheres, 128x128, start='auto':")
     for lights in (1, 2, 3):
         rng = np.random.default_rng(lights)
-        good, reported, seconds = 0, 0, []
+        good, admitted, seconds = 0, 0, []
         for _ in range(count):
             # few numbers of spheres, as each number is compiled
             truth = random_scene(rng, int(rng.choice([2, 3, 5, 9, 14, 20])), lights)
@@ -176,11 +176,11 @@ def recovery(count: int) -> None:
             if recovered(found, truth):
                 good += 1
             elif not found.trust.ok:
-                reported += 1
+                admitted += 1
         lost = count - good
         print(
-            f"  {lights} light(s): {good} of {count} recovered, {reported} of {lost} others say so, "
-            f"median {statistics.median(seconds):.2f} s",
+            f"  {lights} light(s): {good} of {count} recovered, {admitted} of {lost} others said"
+            f" so, median {statistics.median(seconds):.2f} s",
             flush=True,
         )
 
