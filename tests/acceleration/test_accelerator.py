@@ -12,10 +12,11 @@ import spheretrace_jax as st
 from spheretrace_jax.acceleration.accelerator import build_accelerator
 from spheretrace_jax.base.vec import Vec, reflect, unit, vec
 from spheretrace_jax.scene.camera import Ray, pixel_rays
+from spheretrace_jax.scene.settings import render_settings
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
 from spheretrace_jax.tracing.tables import Hit, build_tables, surface_at
 
-accelerator = import_module("spheretrace_jax.acceleration.accelerator")
+accelerator_module = import_module("spheretrace_jax.acceleration.accelerator")
 render = import_module("spheretrace_jax.rendering.render")
 
 FAR, SIZE = (100.0, 500, 800), (50, 37)
@@ -76,8 +77,14 @@ SCENES = {
 NEEDS = st.Needs(planes=False)
 
 
+def accelerator(scene, bounces):
+    settings = render_settings(scene, *SIZE, bounces=bounces, needs=NEEDS)
+    spheres = scene.spheres
+    return build_accelerator(Vec(*spheres.center.T), spheres.radius, scene, settings)
+
+
 def accelerated(scene, of):
-    return of(scene, build_tables(scene).listed(build_accelerator(scene, SIZE, NEEDS, bounces=1)))
+    return of(scene, build_tables(scene).listed(accelerator(scene, bounces=1)))
 
 
 def exhaustive(scene, of):
@@ -108,9 +115,9 @@ def visibility(scene, tables):
 
 @pytest.fixture(autouse=True, scope="module")
 def accelerate_few_spheres():
-    default, accelerator.FEW = accelerator.FEW, 1
+    limit, accelerator_module.MAX_BRUTE_FORCE = accelerator_module.MAX_BRUTE_FORCE, 1
     yield
-    accelerator.FEW = default
+    accelerator_module.MAX_BRUTE_FORCE = limit
 
 
 accelerated_visibility = jax.jit(lambda scene: accelerated(scene, visibility))
@@ -140,7 +147,7 @@ def picture(scene, **settings):
 def unaccelerated(monkeypatch, function, *arguments):
     """Runs a function, compiled anew, with an accelerator only above `COUNT` spheres."""
     with monkeypatch.context() as patch:
-        patch.setattr(accelerator, "FEW", COUNT)
+        patch.setattr(accelerator_module, "MAX_BRUTE_FORCE", COUNT)
         jax.clear_caches()
         value = function(*arguments)
     jax.clear_caches()
@@ -208,7 +215,7 @@ def test_program_size_is_constant():
 
 def test_light_without_buffer_tests_all_spheres():
     scene = cloud()
-    tables = build_tables(scene).listed(build_accelerator(scene, SIZE, NEEDS, bounces=0))
+    tables = build_tables(scene).listed(accelerator(scene, bounces=0))
     point = tables.balls.center
     point = Vec(point.x, point.y, point.z + tables.balls.radius)
     hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))

@@ -30,15 +30,15 @@ def binned_boxes(low, high):
 
 def members(bins, *position):
     """Returns the spheres of the bin at a position, those of bin 0 first."""
-    first, count = (int(x) for x in bins.range(bins.at(*(jnp.asarray(x) for x in position))))
-    return [*bins.number[: bins.start[1]].tolist(), *bins.number[first : first + count].tolist()]
+    first, count = (int(x) for x in bins.slots(bins.cell_at(*(jnp.asarray(x) for x in position))))
+    return [*bins.ids[: bins.start[1]].tolist(), *bins.ids[first : first + count].tolist()]
 
 
 @pytest.mark.parametrize("room", [(3, 1 << 14), (2, 0), (1, 0)], ids=["ample", "tight", "least"])
 @pytest.mark.parametrize("largest", [0.1, 2, 30])
 def test_box_is_in_all_bins_it_touches(largest, room, monkeypatch):
-    monkeypatch.setattr(binning, "PAIRS", room[0])
-    monkeypatch.setattr(binning, "MORE_PAIRS", room[1])
+    monkeypatch.setattr(binning, "PAIRS_PER_SPHERE", room[0])
+    monkeypatch.setattr(binning, "EXTRA_PAIRS", room[1])
     low, high = boxes(60, largest)
     bins = binned_boxes(low, high)
     assert bins.start[-1] <= room[0] * 60 + room[1]
@@ -52,8 +52,8 @@ def test_box_is_in_all_bins_it_touches(largest, room, monkeypatch):
 def test_bins_are_as_narrow_as_room_allows(monkeypatch):
     low, high = boxes(60, 2)
     assert binned_boxes(low, high).width == 1
-    monkeypatch.setattr(binning, "PAIRS", 2)
-    monkeypatch.setattr(binning, "MORE_PAIRS", 0)
+    monkeypatch.setattr(binning, "PAIRS_PER_SPHERE", 2)
+    monkeypatch.setattr(binning, "EXTRA_PAIRS", 0)
     width, counts = binned_boxes(low, high).width, binned_boxes(low, high).counts
     assert 1 < float(width) < np.inf and 1 < np.prod(np.asarray(counts)) < np.prod(SIZE)
 
@@ -62,21 +62,21 @@ def test_wide_spheres_are_in_bin_0():
     low, high = boxes(60, 0.1)
     low[7], high[7] = -100, 100
     bins = binned_boxes(low, high)
-    assert bins.number[: bins.start[1]].tolist() == [7]
+    assert bins.ids[: bins.start[1]].tolist() == [7]
 
 
 def test_empty_box_is_in_no_bin():
     low, high = boxes(60, 0.1)
     low[7], high[7] = 1, 0
     bins = binned_boxes(low, high)
-    used = bins.number[: int(bins.start[int(np.prod(bins.counts)) + 1])]
+    used = bins.ids[: int(bins.start[int(np.prod(bins.counts)) + 1])]
     assert 7 not in used and len(set(used.tolist())) == 59
 
 
 def test_spheres_of_a_bin_are_in_order():
     bins = binned_boxes(*boxes(60, 2))
     for a, b in zip(bins.start[:-1].tolist(), bins.start[1:].tolist(), strict=True):
-        numbers = bins.number[a:b].tolist()
+        numbers = bins.ids[a:b].tolist()
         assert numbers == sorted(numbers)
 
 
@@ -85,5 +85,5 @@ def test_radix_sort_is_stable(digits):
     rng = np.random.default_rng(digits)
     n = 1 << 20
     bin_of = jnp.asarray(rng.integers(0, 1 << 10 * digits, n), jnp.int32)
-    order = jax.jit(binning._order)(bin_of, jnp.max(bin_of))
+    order = jax.jit(binning._stable_order)(bin_of, jnp.max(bin_of))
     np.testing.assert_array_equal(order, np.argsort(np.asarray(bin_of), kind="stable"))

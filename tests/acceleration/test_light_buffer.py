@@ -27,10 +27,11 @@ def test_bounds_hold_every_ray(light, dtype):
     center, point = (Vec(*jnp.asarray(x.T, dtype)) for x in (center, point))
     radius, light = jnp.asarray(radius, dtype), vec(jnp.asarray(light, dtype))
 
-    def places():
-        chart = light_projection(light, n, cluster(center, radius))
-        return chart.layout(center, radius), chart.places(point), chart.cells
+    def positions():
+        projection = light_projection(light, n, cluster(center, radius))
+        bounds = projection.bounds(center, radius)
+        return bounds, projection.cell_position(point), projection.cells
 
-    box, place, cells = jax.jit(places)()
-    for low, x, high in zip(box.low[:2], place, box.high[:2], strict=True):
+    bounds, position, cells = jax.jit(positions)()
+    for low, x, high in zip(bounds.low[:2], position, bounds.high[:2], strict=True):
         assert np.all((low <= x) & (x <= high)) and np.all((0 <= low) & (high <= cells))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as strategy
 
-from spheretrace_jax.acceleration.screen_tiles import TILE, tangents, tiles, untiled
+from spheretrace_jax.acceleration.screen_tiles import TILE, from_tiles, tangent_slopes, to_tiles
 
 length = strategy.floats(-100, 100, width=32)
 
@@ -19,7 +19,7 @@ length = strategy.floats(-100, 100, width=32)
     strategy.floats(0, 6.3),
 )
 def test_circle_is_within_its_tangents(x, z, radius, fraction, angle):
-    low, high = tangents(jnp.asarray(x), jnp.asarray(z), jnp.asarray(radius))
+    low, high = tangent_slopes(jnp.asarray(x), jnp.asarray(z), jnp.asarray(radius))
     at_x, at_z = x + radius * fraction * np.sin(angle), z + radius * fraction * np.cos(angle)
     if at_z > 1e-6:
         slope = at_x / at_z
@@ -40,12 +40,12 @@ def test_circle_is_within_its_tangents(x, z, radius, fraction, angle):
     ],
 )
 def test_tangents_of_the_unit_circle(x, z, expected):
-    found = tangents(jnp.asarray(x), jnp.asarray(z), jnp.asarray(1.0))
+    found = tangent_slopes(jnp.asarray(x), jnp.asarray(z), jnp.asarray(1.0))
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("shape", [(TILE, TILE), (3 * TILE, 2 * TILE), (13, 50), (1, 1)])
 def test_tiles_hold_every_pixel_once(shape):
     plane = jnp.arange(float(np.prod(shape))).reshape(shape)
-    assert tiles(plane).shape == (-(-shape[0] // TILE) * -(-shape[1] // TILE), TILE**2)
-    np.testing.assert_array_equal(untiled(tiles(plane), shape), plane)
+    assert to_tiles(plane).shape == (-(-shape[0] // TILE) * -(-shape[1] // TILE), TILE**2)
+    np.testing.assert_array_equal(from_tiles(to_tiles(plane), shape), plane)

@@ -18,6 +18,7 @@ from ...rendering.render import draw_everywhere
 from ...scene.needs import needs
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings, render_settings
+from ...tracing.context import build_context
 from ...xla.jit import compiled
 from ...xla.sharding import everywhere, gathered, on_devices
 from ..model.parameters import (
@@ -270,7 +271,10 @@ def make_problem(
         goal = make_target(image, one.dtype, **{name: x[k] for name, x in each.items()})
         height, width, _ = goal.image.shape
         wanted = needs(one, free=[name for name in free if name != "exposure"])
-        seen = render_settings(one, width, height, highlight, bounces, samples, wanted, sharding)
+        seen = render_settings(
+            one, width, height, highlight=highlight, bounces=bounces, samples=samples,
+            needs=wanted, sharding=sharding,
+        )  # fmt: skip
         if seen.antialias and not fixed:
             seen = dataclasses.replace(seen, box=jnp.ones((), one.dtype))
         settings.append(seen)
@@ -289,9 +293,13 @@ def _lists(scene: Scene, free: tuple[str, ...], settings: RenderSettings) -> Pix
     # of all pixels: the target of a problem may be replaced by one of which others count
     layout = ParameterIndex(scene, free)
     if settings.sharding is None:
-        return bucket_pixels(scene, layout, settings)
-    own = lambda scene, _: bucket_pixels(scene, layout, settings.of_device)
-    return on_devices(own, settings.sharding, scene)
+        return bucket_pixels(build_context(scene, settings, accelerated=False), layout)
+
+    def of_device(scene: Scene, _: None) -> PixelBuckets:
+        context = build_context(scene, settings.of_device, accelerated=False)
+        return bucket_pixels(context, layout)
+
+    return on_devices(of_device, settings.sharding, scene)
 
 
 def _each(name: str, value: Any, count: int) -> list:
