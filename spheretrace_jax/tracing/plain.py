@@ -195,7 +195,7 @@ def material(scene: Scene, name: str, hit: Hit) -> Numbers | Vectors:
     of_planes = 0 * of_planes.kgr if name == "kt" else getattr(of_planes, name)
     nothing = jnp.zeros((1, *of_spheres.shape[1:]), scene.dtype)  # the last row, that of id -1
     table = jnp.concatenate([of_spheres, of_planes, nothing])
-    return table[hit.id[:, 0]].reshape(len(hit.id), -1)
+    return table[hit.id[:, 0]].reshape(-1, table[0].size)
 
 
 def texture_color(image: Float[Array, "rows columns 3"], direction: Vectors) -> Vectors:
@@ -261,8 +261,8 @@ def highlight_term(N: Vectors, L: Vectors, V: Vectors, n: Numbers, highlight: Hi
     if highlight not in ("phong", "blinn"):
         raise InputError(f"highlight must be one of phong, blinn, got {highlight!r}")
     cosine = dot(2 * dot(N, L) * N - L, V) if highlight == "phong" else dot(unit(L + V), N)
-    some = cosine > 0
-    return jnp.where(some, jnp.where(some, cosine, 1) ** n, jnp.where(n == 0, 1.0, 0.0))
+    seen = cosine > 0
+    return jnp.where(seen, jnp.where(seen, cosine, 1) ** n, jnp.where(n == 0, 1.0, 0.0))
 
 
 def shade(
@@ -287,9 +287,9 @@ def shade(
 # --- paths ----------------------------------------------------------------------------------------
 
 
-def some(*coefficients: Float[Array, " objects"]) -> bool:
+def some(*coefficients: Float[Array, " _"]) -> bool:
     """Returns whether any is not 0, or not known yet, as under `jit` and `grad`."""
-    return any(isinstance(k, jax.core.Tracer) or bool(np.any(k)) for k in coefficients)
+    return any(isinstance(k, jax.core.Tracer) or np.asarray(k).any() for k in coefficients)
 
 
 def plain_radiance(
@@ -323,8 +323,10 @@ def plain_radiance(
         outside = hit._replace(behind=jnp.zeros_like(hit.behind))
         seen = plain_radiance(scene, P, direction, highlight, bounces - 1, outside)
         color = color + material(scene, "kt", hit) * seen
-    sky = scene.sky and texture_color(scene.sky.image, direction)
-    return jnp.where(hit.id >= 0, color, scene.background[None] if sky is None else sky)
+    background = scene.background[None]
+    if scene.sky is not None:
+        background = texture_color(scene.sky.image, direction)
+    return jnp.where(hit.id >= 0, color, background)
 
 
 def plain_picture(
