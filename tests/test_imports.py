@@ -18,7 +18,7 @@ FILES = {
 CORE = """
     _types appearance area camera cells charts cost coverage edges errors grid halfplane
     intersect layers lists marked needs options outlines paths peel penumbra phases possible
-    radiance render scene shading sharding texture varying vec visibility world
+    radiance render scene shading sharding texture tracing tracing.plain varying vec visibility world
 """.split()
 OUTER = tuple(
     f"{PACKAGE}.{name}"
@@ -82,6 +82,11 @@ def test_the_core_knows_nothing_around_it(module):
     found = imports(f"{PACKAGE}.{module}")
     of_core = {f"{PACKAGE}.{name}" for name in CORE}
     assert not {name for name in found - of_core if within(name, outer)}
+
+
+def test_the_plain_path_tracer_shares_nothing_with_the_fast_renderer():
+    found = {name for name in imports(f"{PACKAGE}.tracing.plain") if within(name, (PACKAGE,))}
+    assert found == {f"{PACKAGE}.{name}" for name in ("_types", "errors", "scene")}
 
 
 def test_every_module_beside_the_core_has_a_known_place():
