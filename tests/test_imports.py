@@ -18,7 +18,8 @@ FILES = {
 CORE = """
     _types appearance area camera cells charts cost coverage edges errors grid halfplane
     intersect layers lists marked needs options outlines paths peel penumbra phases possible
-    radiance render scene shading sharding texture tracing tracing.plain varying vec visibility world
+    radiance render scene shading sharding texture tracing tracing.plain varying vec visibility
+    world
 """.split()
 OUTER = tuple(
     f"{PACKAGE}.{name}"
