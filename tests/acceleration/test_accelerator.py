@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.contexts import context_of
 
 import spheretrace_jax as st
-from spheretrace_jax.acceleration.accelerator import build_accelerator
 from spheretrace_jax.base.vec import Vec, reflect, unit, vec
 from spheretrace_jax.scene.camera import Ray, pixel_rays
-from spheretrace_jax.scene.settings import render_settings
+from spheretrace_jax.tracing.hit import Hit
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
-from spheretrace_jax.tracing.tables import Hit, build_tables, surface_at
+from spheretrace_jax.tracing.surface import surface_at
 
 accelerator_module = import_module("spheretrace_jax.acceleration.accelerator")
-render = import_module("spheretrace_jax.rendering.render")
+samples = import_module("spheretrace_jax.rendering.samples")
 
 FAR, SIZE = (100.0, 500, 800), (50, 37)
 CAMERA = st.Camera(0.3, 0.6, 500.0, 800.0)
@@ -77,18 +77,12 @@ SCENES = {
 NEEDS = st.Needs(planes=False)
 
 
-def accelerator(scene, bounces):
-    settings = render_settings(scene, *SIZE, bounces=bounces, needs=NEEDS)
-    spheres = scene.spheres
-    return build_accelerator(Vec(*spheres.center.T), spheres.radius, scene, settings)
-
-
-def accelerated(scene, of):
-    return of(scene, build_tables(scene).listed(accelerator(scene, bounces=1)))
+def accelerated(scene, of, bounces=1):
+    return of(context_of(scene, NEEDS, SIZE, bounces, accelerated=True))
 
 
 def exhaustive(scene, of):
-    return of(scene, build_tables(scene))
+    return of(context_of(scene, NEEDS, SIZE, 1))
 
 
 def eye_rays(scene):
@@ -96,18 +90,17 @@ def eye_rays(scene):
     return pixel_rays(scene.camera, columns[None], rows[:, None], SIZE)
 
 
-def visibility(scene, tables):
+def visibility(context):
     """Returns the eye's hits, the light's visibility, the mirrored and transmitted rays' hits."""
-    strip = tables.of_strip(jnp.zeros((), jnp.int32))
-    ray = eye_rays(scene)
-    hit = closest_hit(strip, ray, NEEDS)
-    surface = surface_at(tables, ray, hit, NEEDS)
-    lit = light_visible(tables, surface.point, hit, vec(scene.lights.position[0]), NEEDS)
+    strip = context.from_row(jnp.zeros((), jnp.int32))
+    ray = eye_rays(context.scene)
+    hit = closest_hit(strip, ray)
+    surface = surface_at(context, ray, hit)
+    lit = light_visible(context, surface.point, hit, vec(context.scene.lights.position[0]))
     direction = reflect(ray.direction, surface.normal)
-    mirrored = closest_hit(tables, Ray(surface.point, direction), NEEDS, hit)
-    transmitted = closest_hit(
-        tables, Ray(surface.point, ray.direction), NEEDS, Hit(hit.id, hit.inside & False)
-    )
+    mirrored = closest_hit(context, Ray(surface.point, direction), hit)
+    straight_on = Ray(surface.point, ray.direction)
+    transmitted = closest_hit(context, straight_on, Hit(hit.id, hit.inside & False))
     any_hit = hit.id >= 0
     if_hit = lambda h: Hit(jnp.where(any_hit, h.id, -1), h.inside & any_hit)
     return hit, lit | ~any_hit, if_hit(mirrored), if_hit(transmitted)
@@ -179,7 +172,7 @@ SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in (several_lights, two_sa
 
 @pytest.mark.parametrize("draw", [picture, gradient, *SLOW], ids=IDS)
 def test_same_pictures_and_gradients(draw, monkeypatch):
-    monkeypatch.setattr(render, "STRIP_PIXELS", 700)  # three strips
+    monkeypatch.setattr(samples, "STRIP_PIXELS", 700)  # three strips
     jax.clear_caches()
     fast, slow = draw(MIRRORS), unaccelerated(monkeypatch, draw, MIRRORS)
     for a, b in zip(jax.tree.leaves(fast), jax.tree.leaves(slow), strict=True):
@@ -191,8 +184,8 @@ def test_same_hits_of_any_rays():
     origin, direction = (Vec(*jnp.asarray(rng.standard_normal((3, 100, 90)))) for _ in range(2))
     ray = Ray(origin * 100, unit(direction))
     no_source = Hit(jnp.full((100, 90), COUNT, jnp.int16), jnp.full((100, 90), False))
-    found = accelerated(scene, lambda _, tables: closest_hit(tables, ray, NEEDS, no_source))
-    expected = exhaustive(scene, lambda _, tables: closest_hit(tables, ray, NEEDS, no_source))
+    found = accelerated(scene, lambda context: closest_hit(context, ray, no_source))
+    expected = exhaustive(scene, lambda context: closest_hit(context, ray, no_source))
     np.testing.assert_array_equal(found.id, expected.id)
     np.testing.assert_array_equal(found.inside, expected.inside)
     assert (found.id < 0).any() and len(np.unique(found.id)) > 100 and found.inside.any()
@@ -215,11 +208,11 @@ def test_program_size_is_constant():
 
 def test_light_without_buffer_tests_all_spheres():
     scene = cloud()
-    tables = build_tables(scene).listed(accelerator(scene, bounces=0))
-    point = tables.balls.center
-    point = Vec(point.x, point.y, point.z + tables.balls.radius)
+    top = scene.spheres.center.at[:, 2].add(scene.spheres.radius)
+    point = Vec(*top.T)
     hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))
     light = vec(jnp.array([-300.0, 20, 500]))
-    lit = [light_visible(w, point, hit, light, NEEDS) for w in (tables, build_tables(scene))]
+    test = lambda context: light_visible(context, point, hit, light)
+    lit = accelerated(scene, test, bounces=0), exhaustive(scene, test)
     np.testing.assert_array_equal(*lit)
     assert 0 < lit[0].sum() < lit[0].size

@@ -1,7 +1,5 @@
 """The edge mask: no pixel that an edge crosses is drawn as a single ray."""
 
-import sys
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,16 +9,18 @@ from helpers.antialiasing import SIZE
 from helpers.scenes import SCENES, nine_spheres, three_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.rendering import wavefront
+from spheretrace_jax.rendering.render import draw
+from spheretrace_jax.scene.settings import render_settings
 
 
 def all_edges(monkeypatch, scene: st.Scene, **settings) -> np.ndarray:
     """Draws the picture with every pixel marked as an edge pixel."""
-    radiance, render = (sys.modules[f"spheretrace_jax.{name}"] for name in ("radiance", "render"))
-    every_pixel = lambda world, lights, ray, *_: jnp.full(ray.direction.x.shape, True)
-    monkeypatch.setattr(radiance, "near_edge", every_pixel)
+    every_pixel = lambda context, ray, *_: jnp.full(ray.direction.x.shape, True)
+    monkeypatch.setattr(wavefront, "edge_mask", every_pixel)
     jax.clear_caches()
-    draw = eqx.filter_jit(render.draw.__wrapped__)
-    return np.asarray(draw(scene, render.render_settings(scene, **settings)))
+    picture = eqx.filter_jit(draw.__wrapped__)(scene, render_settings(scene, **settings))
+    return np.asarray(picture)
 
 
 def without_smooth_means(scene: st.Scene) -> st.Scene:

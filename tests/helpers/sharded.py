@@ -16,7 +16,8 @@ from jaxtyping import Array
 import spheretrace_jax as st
 from spheretrace_jax.base.vec import Vec
 from spheretrace_jax.fit.problem.problem import make_problem, normal_at
-from spheretrace_jax.rendering.render import averaged, draw
+from spheretrace_jax.rendering.pixel_filter import filter_pixels
+from spheretrace_jax.rendering.render import draw
 from spheretrace_jax.scene.settings import RenderSettings, render_settings
 from spheretrace_jax.xla.sharding import on_devices
 
@@ -81,7 +82,7 @@ def neighbours(sharding: NamedSharding | None) -> Results:
     arrays = Vec(*jnp.asarray(color[:, :height])), jnp.asarray(edge[:height])
 
     def averages(color: Vec, edge: Array, settings: RenderSettings) -> Array:
-        return averaged(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)
+        return filter_pixels(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)
 
     if sharding is None:
         return {"mean": np.asarray(averages(*arrays, settings))}

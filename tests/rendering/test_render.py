@@ -183,8 +183,9 @@ def test_ids_do_not_overflow(count):
 
 def test_new_numbers_do_not_compile_again(monkeypatch):
     traced = []
-    inner = module.build_tables
-    monkeypatch.setattr(module, "build_tables", lambda scene: traced.append(1) or inner(scene))
+    inner = module.build_context
+    counted = lambda *arguments: traced.append(1) or inner(*arguments)
+    monkeypatch.setattr(module, "build_context", counted)
     scene = SCENES["mirrors"]
     for factor in (1.0, 1.01, 0.99):
         changed = jax.tree.map(lambda leaf, f=factor: leaf * f, scene)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.contexts import context_of
 from helpers.scenes import SCENES
 
 import spheretrace_jax as st
@@ -21,11 +22,13 @@ def test_loop_over_lights_is_their_sum(clear, tinted):
     scene = eqx.tree_at(lambda s: s.lights, SCENES["shadows"], lights)
     needs = Needs(shadows=len(clear) < 6, clear=clear, tinted=tinted)
 
+    context = context_of(scene, needs)
+
     def terms(light, shadows):
         # a shadow test of a light that nothing can block would change both sums
         return jnp.full(2, light.x + 10.0 * shadows), jnp.full(2, light.y - 10.0 * shadows)
 
-    loop, unrolled = (sum_lights(scene, (2,), needs, terms, most=most) for most in (1, 6))
+    loop, unrolled = (sum_lights(context, (2,), terms, most=most) for most in (1, 6))
     shadowed = np.array([i not in clear for i in range(6)])
     diffuse = (POSITIONS[:, 0] + 10 * shadowed) @ lights.color
     shine = (POSITIONS[:, 1] - 10 * shadowed) @ lights.color

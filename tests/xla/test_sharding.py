@@ -117,8 +117,9 @@ PICTURE = dict(width=8, height=6)
 
 def test_sharding_on_one_device_compiles_once(monkeypatch):
     traced = []
-    inner = render.build_tables
-    monkeypatch.setattr(render, "build_tables", lambda scene: traced.append(1) or inner(scene))
+    inner = render.build_context
+    counted = lambda *arguments: traced.append(1) or inner(*arguments)
+    monkeypatch.setattr(render, "build_context", counted)
     scene = three_spheres().astype(np.float32)
     for factor in (0.9, 1.0):
         changed = jax.tree.map(lambda leaf, f=factor: leaf * f, scene)
