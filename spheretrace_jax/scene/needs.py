@@ -15,7 +15,8 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.types import Index
 from . import feature_tests
-from .scene import Camera, Lights, Planes, Scene, Spheres
+from .parameters import parameter_names
+from .scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +69,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
             "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
         )
     scene.check_dtype()
-    free = _names(free)
+    free = parameter_names(free)
     spheres, planes = scene.spheres, scene.planes
 
     def some(name: str) -> np.ndarray:
@@ -116,18 +117,6 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         # the only object is convex: what it mirrors is the sky
         depth=None if objects > 1 or inside else int(background),
     )
-
-
-def _names(free: Iterable[str]) -> frozenset[str]:
-    """**Raises:** `InputError` for names of no parameter, and for a bare string."""
-    parts = (Spheres, Lights, Planes, Camera)
-    known = {field.name for part in parts for field in dataclasses.fields(part)}
-    known |= {"background", "light_position", "light_color"}
-    names = frozenset([free] if isinstance(free, str) else free)
-    unknown = sorted(names - known)
-    if unknown:
-        raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
-    return names
 
 
 def left_out(scene: Scene) -> list[tuple[str, bool, str]]:

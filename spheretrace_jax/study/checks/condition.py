@@ -16,7 +16,8 @@ from ...fit.fit import DEFAULT_FREE
 from ...fit.model.parameters import GEOMETRY, value
 from ...fit.model.products import PRODUCTS
 from ...fit.problem.labels import labels_of
-from ...fit.problem.problem import make_problem, normal_at
+from ...fit.problem.make_problem import make_problem
+from ...fit.problem.problem import normal_at
 from ...rendering.render import draw
 from ...scene.needs import Needs
 from ...scene.scene import Scene
@@ -121,7 +122,9 @@ def uncertainty_at(
     samples: int = 1,
 ) -> Uncertainty:
     """How well a scene's own picture determines it, with so much noise."""
-    problem = make_problem(scene, picture, free, (), highlight, bounces, samples, noise=noise)
+    problem = make_problem(
+        scene, picture, free, highlight=highlight, bounces=bounces, samples=samples, noise=noise
+    )
     values = problem.start()
     return estimate(problem, values, normal_at(problem, values), 1.0)
 
