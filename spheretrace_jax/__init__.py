@@ -11,16 +11,13 @@ from .files.povray import write_povray as write_povray
 from .files.scene_text import load_scene as load_scene, save_scene as save_scene
 from .fit import Fit as Fit, fit as fit
 from .rendering.render import render as render
+from .scene.camera import Camera as Camera
+from .scene.lights import Lights as Lights
 from .scene.needs import Needs as Needs, needs as needs
-from .scene.scene import (
-    BackPlane as BackPlane,
-    Camera as Camera,
-    Lights as Lights,
-    Planes as Planes,
-    Scene as Scene,
-    Spheres as Spheres,
-    Texture as Texture,
-)
+from .scene.planes import BackPlane as BackPlane, Planes as Planes
+from .scene.scene import Scene as Scene
+from .scene.spheres import Spheres as Spheres
+from .scene.texture import Texture as Texture
 from .study.checks.condition import Condition as Condition, check_condition as check_condition
 from .study.checks.gradients import (
     GradientTable as GradientTable,

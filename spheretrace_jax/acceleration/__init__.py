@@ -1,1 +1,1 @@
-"""Acceleration structures: which of very many spheres a ray may meet."""
+"""Acceleration structures: candidate spheres for each ray, in scenes of very many spheres."""

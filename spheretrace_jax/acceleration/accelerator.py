@@ -1,6 +1,7 @@
-"""`Lists`: where to look for the spheres that a ray may meet, where there are very many of them.
+"""`Accelerator`: the acceleration structures of a picture, for scenes of very many spheres.
 
-Made once for a picture, without derivatives. Without lists, every ray looks at every sphere.
+The structures know no shapes, only bounding spheres. They are built once per picture, without
+derivatives. Without an accelerator every ray tests every sphere.
 """
 
 import equinox as eqx
@@ -9,75 +10,85 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from ..base.types import PixelArray
 from ..base.vec import Vec, vec
-from ..scene.needs import Needs
 from ..scene.scene import Scene
-from ..xla.sharding import Rows
+from ..scene.settings import RenderSettings
 from .binning import build_bins, cluster
 from .light_buffer import LightBuffer, light_projection
-from .screen_tiles import ScreenTiles, screen_bounds, tiles_in
-from .uniform_grid import UniformGrid, grid_bounds, most_boxes
+from .screen_tiles import ScreenTiles, screen_bounds, tile_count
+from .uniform_grid import UniformGrid, grid_bounds, max_grid_cells
 
-# Of at most so many spheres each ray looks at all. The lists are faster from 60 on (512 x 512, one
-# light: 60 spheres 20 against 32 ms, 125 15 against 89), but take longer to compile.
-FEW = 100
+# Number of spheres up to which every ray tests all of them. The structures are faster from 60 on
+# (512 x 512, one light: 60 spheres 20 against 32 ms, 125 15 against 89), but take longer to
+# compile.
+MAX_BRUTE_FORCE = 100
 
-# The numbers of objects have to be exact in float32, beside a distance in the same complex number.
-MOST = 1 << 24
+# Number of objects that scenes with an accelerator stay below. Ids have to be exact in float32:
+# `closest_hit` packs them with distances into complex numbers.
+ID_LIMIT = 1 << 24
 
 
 class Accelerator(eqx.Module):
-    """What spheres there are along the rays of a picture."""
+    """The acceleration structures for each kind of ray."""
 
-    screen_tiles: ScreenTiles  #: along those from the eye
-    lights: Float[Array, "m 3"]
-    light_buffers: LightBuffer | None  #: along those to each of the lights
-    uniform_grid: UniformGrid | None  #: along any
+    screen_tiles: ScreenTiles  #: for rays from the eye
+    light_positions: Float[Array, "m 3"]
+    light_buffers: LightBuffer | None  #: for shadow rays, stacked over the lights
+    uniform_grid: UniformGrid | None  #: for any rays
 
-    def of_strip(self, first_row: Int[Array, ""]) -> "Accelerator":
-        """The lists for the rays of full rows of pixels from one on, a multiple of `TILE`."""
-        return eqx.tree_at(lambda s: s.screen_tiles, self, self.screen_tiles.of_strip(first_row))
+    def from_row(self, first_row: Int[Array, ""]) -> "Accelerator":
+        """Returns the accelerator for a strip of pixel rows.
+
+        **Arguments:** `first_row`: of the strip, a multiple of `TILE`.
+        """
+        return eqx.tree_at(lambda a: a.screen_tiles, self, self.screen_tiles.from_row(first_row))
 
     def light_buffer(self, light: Vec) -> tuple[Bool[Array, ""], LightBuffer]:
-        """Whether there are lists for a light at some place, and these."""
-        here = jnp.all(self.lights == jnp.stack([light.x, light.y, light.z])[None], axis=1)
-        which = jnp.argmax(here)
-        return here[which], jax.tree.map(lambda x: x[which], self.light_buffers)
+        """Finds the light buffer of a light by its position.
+
+        **Returns:** whether there is one, and the buffer (of another light if there is none).
+        """
+        position = jnp.stack([light.x, light.y, light.z])[None]
+        matches = jnp.all(self.light_positions == position, axis=1)
+        index = jnp.argmax(matches)
+        return matches[index], jax.tree.map(lambda x: x[index], self.light_buffers)
 
 
 def build_accelerator(
-    scene: Scene, size: tuple[int, int], needs: Needs, bounces: int, rows: Rows | None = None
+    center: Vec, radius: PixelArray, scene: Scene, settings: RenderSettings
 ) -> Accelerator | None:
-    """The lists of some rows of a picture, None if its spheres are few.
+    """Builds the acceleration structures that a picture needs; None for few spheres.
 
-    **Arguments:** `size`: the picture's (width, height) in pixels. `rows`: all by default.
+    **Arguments:** `center`, `radius`: the shapes' bounding spheres, each of shape `(n,)`.
+    `scene`: its camera and lights.
     """
-    if not FEW < len(scene.spheres) < MOST - scene.objects:
+    spheres = radius.shape[0]
+    if not MAX_BRUTE_FORCE < spheres < ID_LIMIT - scene.objects:
         return None
-    scene = lax.stop_gradient(scene)
-    center, radius, lights = Vec(*scene.spheres.center.T), scene.spheres.radius, scene.lights
-    stack = lambda layout: jax.tree.map(lambda x: x[None], layout)
-    rows = Rows(size[1]) if rows is None else rows
-    layouts = [stack(screen_bounds(center, radius, scene.camera, size, rows))]
-    most = tiles_in((size[0], rows.count))
-    group, charts, place = cluster(center, radius), None, None
-    if needs.shadows:
-        charts = lax.map(
-            lambda light: light_projection(vec(light), len(radius), group), lights.position
-        )
-        layouts.append(lax.map(lambda chart: chart.layout(center, radius), charts))
-        most = max(most, charts.cells**2)
-    if bounces:
-        corner, side, layout = grid_bounds(center, radius, group)
-        place = corner, side
-        layouts.append(stack(layout))
-        most = max(most, most_boxes(len(scene.spheres)))
-    layouts = jax.tree.map(lambda *x: jnp.concatenate(x), *layouts)
-    cells = build_bins(center, radius, layouts, most)
-    some = lambda which: jax.tree.map(lambda x: x[which], cells)
+    center, radius, scene = lax.stop_gradient((center, radius, scene))
+    lights = scene.lights.position
+    size, rows = (settings.width, settings.height), settings.rows
+    stack = lambda grid: jax.tree.map(lambda x: x[None], grid)
+    bounds = [stack(screen_bounds(center, radius, scene.camera, size, rows))]
+    max_cells = tile_count((size[0], rows.count))
+    group, projections, grid = cluster(center, radius), None, None
+    if settings.needs.shadows:
+        projections = lax.map(lambda light: light_projection(vec(light), spheres, group), lights)
+        bounds.append(lax.map(lambda projection: projection.bounds(center, radius), projections))
+        max_cells = max(max_cells, projections.cells**2)
+    if settings.bounces:
+        corner, side, boxes = grid_bounds(center, radius, group)
+        grid = corner, side
+        bounds.append(stack(boxes))
+        max_cells = max(max_cells, max_grid_cells(spheres))
+    bounds = jax.tree.map(lambda *x: jnp.concatenate(x), *bounds)
+    bins = build_bins(center, radius, bounds, max_cells)
+    bins_of = lambda index: jax.tree.map(lambda x: x[index], bins)
+    of_lights = slice(1, 1 + len(lights))
     return Accelerator(
-        ScreenTiles(some(0)),
-        lights.position,
-        None if charts is None else LightBuffer(charts, some(slice(1, 1 + len(lights)))),
-        None if place is None else UniformGrid(*place, some(-1)),
+        ScreenTiles(bins_of(0)),
+        lights,
+        None if projections is None else LightBuffer(projections, bins_of(of_lights)),
+        None if grid is None else UniformGrid(*grid, bins_of(-1)),
     )

@@ -1,16 +1,15 @@
-"""`Cells`: which of very many spheres may be met in each cell of a grid, in lists of fixed size.
+"""Binning: sorts spheres into the cells of a grid, with lists of fixed total size.
 
-A sphere is listed in every cell that a box around it touches: pairs of a cell and a sphere, sorted
-by one sort of whole numbers, so that each cell's spheres lie side by side. The room for pairs is
-fixed, and how wide the cells are is found out at run time: as narrow as there is room for. So no
-list ever overflows, whatever the spheres' sizes, and the cells come out about as large as what is
-in them.
+A sphere is listed in every cell that its bounding box overlaps. Pairs of a cell and a sphere are
+sorted by integer keys, so that the spheres of each cell are contiguous. The capacity for pairs is
+fixed; the cell width is chosen at run time, as narrow as the capacity allows. No list ever
+overflows, whatever the spheres' sizes, and cells come out about as large as the spheres in them.
 """
 
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -23,264 +22,292 @@ from ..base.vec import Vec
 from ..xla.compaction import prefix_sum
 
 T = TypeVar("T")
-Visit = Callable[[Any, Vec, PixelArray, Ids, T], T]
-"""What becomes of rays' states when they meet spheres: centre, radius (nan: none) and number."""
+Visitor = Callable[[Any, Vec, PixelArray, Ids, T], T]
+"""`visitor(rays, center, radius, ids, state)`: the rays' new states after they test a sphere each.
 
-# Rays look at this many spheres of their cells at a time: 0.31 ms a sphere for 131,072 rays, where
-# one at a time takes 0.42, and eight 0.26 but longer to compile.
+A radius of nan, with the id `NO_SPHERE`, means that a ray has no sphere to test.
+"""
+
+# Spheres that rays test per iteration of the loop over their cells. For 131,072 rays four take
+# 0.31 ms a sphere, one 0.42, and eight 0.26 but longer to compile.
 BLOCK = 4
 
-# A sphere in more than this part of all cells is in a list that all rays look at: that takes them
-# 0.05 ms a sphere, where one more in their cells takes 0.26.
-WIDE = 1 / 8
+# Fraction of all cells above which a sphere moves to the global list that every ray tests. A
+# sphere in the global list costs 0.05 ms, one more in the rays' cells 0.26.
+MAX_CELL_FRACTION = 1 / 8
 
-# Room for this many pairs per sphere, and for some more where spheres are few and large.
-PAIRS, MORE_PAIRS = 3, 1 << 14
+# Capacity for pairs of a cell and a sphere: this many per sphere, plus a constant for few large
+# spheres. More capacity means narrower cells but a longer sort.
+PAIRS_PER_SPHERE, EXTRA_PAIRS = 3, 1 << 14
+
+# The id for "no sphere to test"; -1 is taken by "hit no sphere".
+NO_SPHERE = -2
+
+# Bound on rounding errors, in units of the last place of the largest length involved: half a
+# dozen operations find a hit. Bounding boxes grow by this bound.
+ROUNDING_ULPS = 16
+
+# Number of spheres, evenly spaced in the table, that estimate the region of most spheres, and the
+# quantile that bounds the region: 3 % of the centres are cut off at each end of each axis. More
+# samples take longer to sort; a higher quantile makes cells coarser where there are outliers.
+CLUSTER_SAMPLES, CLUSTER_QUANTILE = 1 << 10, 0.97
+
+# Distance, in extents of the cluster, up to which the slack of bounding boxes covers the rounding
+# of positions. A larger distance makes all boxes larger.
+CLUSTER_EXTENTS = 16
 
 
-# The number of no sphere, nor of what is not a sphere, -1.
-NOBODY = -2
+class CoveredCells(NamedTuple):
+    """The block of cells that each sphere's bounding box overlaps, for one cell width."""
 
-# What rounding may move, in units of the last place of the largest length that is involved: the
-# operations that find a hit are half a dozen.
-SLACK = 16
-
-# So many of the spheres, evenly chosen, tell where most of them are: this part.
-SAMPLE, MOST = 1 << 10, 0.97
-
-# Nothing further away than so many times the spheres' reach casts doubt on their lists.
-FAR = 16
+    low: list[Ids]  #: the first column along each axis
+    spans: list[Ids]  #: the number of columns along each axis
+    wide: Mask  #: the sphere belongs to the global list
+    pairs: Ids  #: the number of pairs: cells, 1 if `wide`, 0 for an empty box
 
 
 class BinBounds(eqx.Module):
-    """A grid, and where n spheres are in it: a box around each, in finest cells.
+    """A grid and the bounding boxes of n spheres on it, in units of the finest cells.
 
-    Boxes are of any finite size; where `low > high` along some axis the sphere is nowhere.
+    Boxes are of any finite size. A box with `low > high` along an axis is empty.
     """
 
     low: tuple[Float[Array, " n"], ...]  #: along each of three axes
     high: tuple[Float[Array, " n"], ...]
-    size: Float[Array, " axes"]  #: how many finest cells there are along each axis
-    step: Scalar  #: by how much cells are wider where there is no room for narrower ones
+    size: Float[Array, " axes"]  #: the number of finest cells along each axis
+    step: Scalar  #: the factor by which cells widen until the pairs fit
+
+    def counts(self, width: Scalar) -> Float[Array, " axes"]:
+        """Returns the number of cells along each axis."""
+        return jnp.maximum(jnp.ceil(self.size / width), 1)
+
+    def covered_cells(self, width: Scalar) -> CoveredCells:
+        """Finds the cells of a width that each sphere's box overlaps."""
+        counts = self.counts(width).astype(jnp.int32)
+        low = [_column(x, width, m) for x, m in zip(self.low, counts, strict=True)]
+        high = [_column(x, width, m) for x, m in zip(self.high, counts, strict=True)]
+        spans = [b - a + 1 for a, b in zip(low, high, strict=True)]
+        cells = math.prod(spans)
+        most = jnp.maximum(jnp.prod(self.counts(width)) * MAX_CELL_FRACTION, 1)
+        wide = cells > most.astype(jnp.int32)
+        exists = [a <= b for a, b in zip(self.low, self.high, strict=True)]
+        exists = functools.reduce(jnp.logical_and, exists)
+        return CoveredCells(low, spans, wide, jnp.where(exists, jnp.where(wide, 1, cells), 0))
 
 
 def bounds_2d(low: Sequence, high: Sequence, size: Sequence, step: float) -> BinBounds:
-    """A layout of only two axes."""
+    """Builds the `BinBounds` of a grid with two axes."""
     zero = jnp.zeros_like(low[0])
     sizes = jnp.asarray([*size, 1], zero.dtype)
     return BinBounds((*low, zero), (*high, zero), sizes, jnp.asarray(step, zero.dtype))
 
 
 class Bins(eqx.Module):
-    """The spheres of each cell, side by side."""
+    """The spheres of each cell, contiguous in arrays of fixed size; cell 0 is the global list."""
 
-    center: Vec  #: of the spheres of cell 0, of cell 1, ...
+    center: Vec  #: of the spheres of cell 0, then of cell 1, ...
     radius: Float[Array, " pairs"]
-    number: Int[Array, " pairs"]  #: which sphere it is
-    start: Int[Array, " cells"]  #: where each cell's spheres start; cell 0 is everywhere
+    ids: Int[Array, " pairs"]  #: the sphere's row in the tables
+    start: Int[Array, " cells"]  #: the slot of each cell's first sphere
     width: Scalar  #: of a cell, in finest cells
-    counts: Int[Array, " axes"]  #: how many cells there are along each axis
+    counts: Int[Array, " axes"]  #: the number of cells along each axis
 
-    def at(self, *places: PixelArray) -> Ids:
-        """The cells at some places, in finest cells; outside of the grid the nearest."""
-        return self.cell(*(self.along(axis, x) for axis, x in enumerate(places)))
+    def cell_at(self, *position: PixelArray) -> Ids:
+        """Returns the cells at positions in finest cells; outside of the grid the nearest."""
+        return self.cell(*(self.column(axis, x) for axis, x in enumerate(position)))
 
-    def along(self, axis: int, place: PixelArray) -> Ids:
-        """Which cell along an axis a coordinate is in."""
-        return _along(place, self.width, self.counts[axis])
+    def column(self, axis: int, position: PixelArray) -> Ids:
+        """Returns the index along an axis of the cell that contains a coordinate."""
+        return _column(position, self.width, self.counts[axis])
 
     def cell(self, *columns: Ids) -> Ids:
-        """The cells of some columns, rows and so on."""
-        return _number(columns, self.counts)
+        """Returns the cells with these indices along each axis."""
+        return _cell_index(columns, self.counts)
 
     def visit(
         self,
         cell: Ids,
-        meet: Visit,
+        visitor: Visitor,
         rays: Any,
         state: T,
         done: Callable[[T], Mask],
     ) -> T:
-        """What becomes of rays' states when they meet the spheres of their cells.
+        """Lets rays test the spheres of the global list, then those of their cells.
 
-        **Arguments:** `cell`: per ray, or per group of rays; -1 for none. `rays`: what `meet` has
-        to know of them, a pytree of arrays of shape `(n, ...)`, as are those of `state`. `done`:
-        whether a state stays what it is, whatever is met.
+        **Arguments:** `cell`: per ray, or per group of rays; -1 for none. `rays`: the rays' inputs
+        to `visitor`; `rays` and `state` are pytrees of arrays of shape `(n, ...)`. `done`: the mask
+        of states that no further sphere changes.
+
+        **Returns:** the rays' final states.
         """
-        everywhere = lambda k, state: meet(rays, *self.row(k), state)
-        state = lax.fori_loop(0, self.start[1], everywhere, state)
-        first, count = self.range(cell)
+        visit_global = lambda k, state: visitor(rays, *self.sphere(k), state)
+        state = lax.fori_loop(0, self.start[1], visit_global, state)
+        first, count = self.slots(cell)
         end = first + count
 
-        def go_on(now: tuple) -> Bool[Array, ""]:
+        def proceed(now: tuple) -> Bool[Array, ""]:
             return jnp.any((now[0] < end) & ~done(now[1]))
 
         def step(now: tuple) -> tuple:
             slot, state = now
             for k in range(BLOCK):
-                state = meet(rays, *self.row_if(slot + k < end, slot + k), state)
+                state = visitor(rays, *self.sphere_if(slot + k < end, slot + k), state)
             return jnp.minimum(slot + BLOCK, end), state
 
-        # to regroup the rays that are not done takes longer than to go on with all of them (14
-        # against 18 ms for 100,000 spheres)
-        return lax.while_loop(go_on, step, (first, state))[1]
+        # all rays stay in the loop: to compact the active ones takes longer (18 against 14 ms for
+        # 100,000 spheres)
+        return lax.while_loop(proceed, step, (first, state))[1]
 
-    def range(self, cell: Ids) -> tuple[Ids, Ids]:
-        """Where the spheres of cells start, and how many there are."""
-        first = _at(self.start, jnp.maximum(cell, 0))
-        return first, jnp.where(cell >= 0, _at(self.start, jnp.maximum(cell, 0) + 1) - first, 0)
+    def slots(self, cell: Ids) -> tuple[Ids, Ids]:
+        """Returns the first slot of each cell and its number of spheres, 0 for cell -1."""
+        first = _take(self.start, jnp.maximum(cell, 0))
+        return first, jnp.where(cell >= 0, _take(self.start, jnp.maximum(cell, 0) + 1) - first, 0)
 
-    def row(self, slot: Ids) -> tuple[Vec, PixelArray, Ids]:
-        """The spheres at some places of the lists: centre, radius, number."""
-        slot = jnp.minimum(slot, self.number.size - 1)
-        return jax.tree.map(lambda x: _at(x, slot), (self.center, self.radius, self.number))
+    def sphere(self, slot: Ids) -> tuple[Vec, PixelArray, Ids]:
+        """Returns centre, radius and id of the spheres in slots."""
+        slot = jnp.minimum(slot, self.ids.size - 1)
+        return jax.tree.map(lambda x: _take(x, slot), (self.center, self.radius, self.ids))
 
-    def row_if(self, some: Mask, slot: Ids) -> tuple[Vec, PixelArray, Ids]:
-        """The same, but nobody where there are none."""
-        center, radius, number = self.row(slot)
-        return center, jnp.where(some, radius, jnp.nan), jnp.where(some, number, NOBODY)
+    def sphere_if(self, mask: Mask, slot: Ids) -> tuple[Vec, PixelArray, Ids]:
+        """Returns `sphere(slot)` where `mask` is set, else radius nan and `NO_SPHERE`."""
+        center, radius, ids = self.sphere(slot)
+        return center, jnp.where(mask, radius, jnp.nan), jnp.where(mask, ids, NO_SPHERE)
 
 
-def build_bins(center: Vec, radius: PixelArray, layouts: BinBounds, most: int) -> Bins:
-    """Lists of the spheres in each cell of some grids.
+def build_bins(center: Vec, radius: PixelArray, bounds: BinBounds, max_cells: int) -> Bins:
+    """Sorts spheres into the cells of several grids.
 
-    All grids at once, so that this is compiled once only.
+    One `lax.map` over all grids compiles the sort only once.
 
-    **Arguments:** `layouts`: several, stacked. `most`: how many cells a grid may have.
+    **Arguments:** `bounds`: of all grids, stacked. `max_cells`: per grid.
 
-    **Returns:** the cells of each grid, stacked.
+    **Returns:** the bins of all grids, stacked.
     """
-    return lax.map(lambda layout: _sort_into_cells(center, radius, layout, most), layouts)
+    return lax.map(lambda grid: _sort_into_cells(center, radius, grid, max_cells), bounds)
 
 
-def _sort_into_cells(center: Vec, radius: PixelArray, layout: BinBounds, most: int) -> Bins:
-    n, dtype = radius.shape[0], radius.dtype
-    room = _room(n)
+def _sort_into_cells(center: Vec, radius: PixelArray, bounds: BinBounds, max_cells: int) -> Bins:
+    """Sorts spheres into the narrowest cells for which the pairs fit the capacity."""
+    capacity = _pair_capacity(radius.shape[0])
+    too_narrow = lambda width: _overflows(bounds, width, max_cells, capacity)
+    # a single cell always has room for all spheres, so the loop ends
+    start = jnp.ones((), radius.dtype)
+    width = lax.while_loop(too_narrow, lambda width: width * bounds.step, start)
+    counts = bounds.counts(width).astype(jnp.int32)
+    covered = bounds.covered_cells(width)
+    no_cell = jnp.prod(counts, dtype=jnp.int32) + 1
+    ids, cell = _expand_pairs(covered, counts, no_cell, capacity)
+    ids = _take(ids, _stable_order(cell, no_cell))
+    # counting sort: the histogram of the cells gives their first slots
+    filled = jnp.zeros(max_cells + 2, jnp.int32).at[cell].add(1)
+    center, radius = jax.tree.map(lambda column: _take(column, ids), (center, radius))
+    return Bins(center, radius, ids, prefix_sum(filled) - filled, width, counts)
 
-    def counts(width: Scalar) -> Float[Array, " axes"]:
-        """How many cells there are along each axis."""
-        return jnp.maximum(jnp.ceil(layout.size / width), 1)
 
-    def covered(width: Scalar) -> tuple:
-        """The first cell along each axis, how many there are, and the pairs."""
-        count = counts(width).astype(jnp.int32)
-        low = [_along(x, width, m) for x, m in zip(layout.low, count, strict=True)]
-        high = [_along(x, width, m) for x, m in zip(layout.high, count, strict=True)]
-        spans = [b - a + 1 for a, b in zip(low, high, strict=True)]
-        pairs = math.prod(spans)
-        wide = pairs > jnp.maximum(jnp.prod(counts(width)) * WIDE, 1).astype(jnp.int32)
-        some = [a <= b for a, b in zip(layout.low, layout.high, strict=True)]
-        some = functools.reduce(jnp.logical_and, some)
-        return low, spans, wide, jnp.where(some, jnp.where(wide, 1, pairs), 0)
+def _overflows(bounds: BinBounds, width: Scalar, max_cells: int, capacity: int) -> Bool[Array, ""]:
+    """Tests whether cells of a width are too many, or their pairs exceed the capacity."""
+    pairs = bounds.covered_cells(width).pairs
+    # the integer sum is exact but may overflow; the float sum rules that out
+    approximate = jnp.sum(pairs.astype(jnp.float32))
+    fits = (approximate < 2 * capacity) & (jnp.sum(pairs, dtype=jnp.int32) <= capacity)
+    return (jnp.prod(bounds.counts(width)) > max_cells) | ~fits
 
-    def too_narrow(width: Scalar) -> Bool[Array, ""]:
-        pairs = covered(width)[-1]
-        # a sum of whole numbers is exact, but may overflow
-        about = jnp.sum(pairs.astype(jnp.float32))
-        fits = (about < 2 * room) & (jnp.sum(pairs, dtype=jnp.int32) <= room)
-        return (jnp.prod(counts(width)) > most) | ~fits
 
-    # there always is room for all spheres in a single cell
-    width = lax.while_loop(too_narrow, lambda width: width * layout.step, jnp.ones((), dtype))
-    count = counts(width).astype(jnp.int32)
-    low, spans, wide, pairs = covered(width)
-    none = jnp.prod(count, dtype=jnp.int32) + 1
-
-    # whose the pairs are: the last one's whose pairs start there or before
-    end = prefix_sum(pairs)
-    start = end - pairs
-    slot = jnp.arange(room, dtype=jnp.int32)
-    owner = prefix_sum(jnp.zeros(room, jnp.int32).at[start].add(1, mode="drop")) - 1
-    rest, columns = slot - _at(start, owner), []
-    for first, span in zip(low, spans, strict=True):
-        span = _at(span, owner)
-        columns.append(_at(first, owner) + lax.rem(rest, span))
+def _expand_pairs(
+    covered: CoveredCells, counts: Int[Array, " axes"], no_cell: Int[Array, ""], capacity: int
+) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+    """Lists all pairs, sphere by sphere. **Returns:** sphere and cell, `no_cell` when unused."""
+    # a slot belongs to the last sphere whose pairs start at or before it
+    end = prefix_sum(covered.pairs)
+    start = end - covered.pairs
+    slot = jnp.arange(capacity, dtype=jnp.int32)
+    ids = prefix_sum(jnp.zeros(capacity, jnp.int32).at[start].add(1, mode="drop")) - 1
+    rest, columns = slot - _take(start, ids), []
+    for first, span in zip(covered.low, covered.spans, strict=True):
+        span = _take(span, ids)
+        columns.append(_take(first, ids) + lax.rem(rest, span))
         rest = lax.div(rest, span)
-    cell = jnp.where(_at(wide, owner), 0, _number(columns, count))
-    cell = jnp.where(slot < end[-1], cell, none)
-
-    number = _at(owner, _order(cell, none))
-    filled = jnp.zeros(most + 2, jnp.int32).at[cell].add(1)
-    center, radius = jax.tree.map(lambda column: _at(column, number), (center, radius))
-    return Bins(center, radius, number, prefix_sum(filled) - filled, width, count)
+    cell = jnp.where(_take(covered.wide, ids), 0, _cell_index(columns, counts))
+    return ids, jnp.where(slot < end[-1], cell, no_cell)
 
 
 class Cluster(eqx.Module):
-    """Where most of many spheres are, whatever a few of them do."""
+    """The region of most spheres, robust against a few outliers."""
 
-    some: Vec  #: the centres of some spheres
-    middle: Vec  #: of where most of them are, along each axis
-    half: Vec  #: half as wide as that; 1 where they are all in one plane
-    slack: Scalar  #: how far rounding may move what is near, in units of length
+    sample: Vec  #: the centres of evenly chosen spheres
+    middle: Vec  #: of the region, along each axis
+    half_width: Vec  #: of the region; 1 along an axis across which all centres are equal
+    slack: Scalar  #: the rounding error of positions near the region, in units of length
 
 
 def cluster(center: Vec, radius: PixelArray) -> Cluster:
-    """Where most of some spheres are."""
-    every = -(-radius.shape[0] // SAMPLE)
-    some, size = jax.tree.map(lambda x: x[::every], (center, radius))
-    middle, half = central_range((some.x, some.y, some.z, size))
-    reach = jnp.sum(half[:3]) + (middle[3] + half[3])
-    slack = FAR * SLACK * jnp.finfo(radius.dtype).eps * reach
-    return Cluster(some, Vec(*middle[:3]), Vec(*half[:3]), slack)
+    """Estimates the region of most spheres from quantiles of a sample."""
+    stride = -(-radius.shape[0] // CLUSTER_SAMPLES)
+    sample, radii = jax.tree.map(lambda x: x[::stride], (center, radius))
+    middle, half = central_range((sample.x, sample.y, sample.z, radii))
+    extent = jnp.sum(half[:3]) + (middle[3] + half[3])
+    slack = CLUSTER_EXTENTS * ROUNDING_ULPS * jnp.finfo(radius.dtype).eps * extent
+    return Cluster(sample, Vec(*middle[:3]), Vec(*half[:3]), slack)
 
 
 def central_range(
     columns: Sequence[Float[Array, " n"]],
 ) -> tuple[Float[Array, " columns"], Float[Array, " columns"]]:
-    """The middle and half the width of where most of the numbers of each column are.
+    """Returns the middle and half the width of the range between two quantiles of each column.
 
-    The width of what has none is 1.
+    The half width is 1 where the quantiles are equal.
     """
-    # all in one, as to sort floating-point numbers takes 0.3 s to compile
-    each = jnp.sort(jnp.stack(list(columns)), axis=1)
-    last = each.shape[1] - 1
-    low, high = each[:, int((1 - MOST) * last)], each[:, int(MOST * last)]
+    # one sort for all columns: a floating-point sort takes 0.3 s to compile
+    values = jnp.sort(jnp.stack(list(columns)), axis=1)
+    last = values.shape[1] - 1
+    low = values[:, int((1 - CLUSTER_QUANTILE) * last)]
+    high = values[:, int(CLUSTER_QUANTILE * last)]
     return (low + high) / 2, jnp.where(high > low, (high - low) / 2, 1)
 
 
-def most_bins(spheres: int) -> int:
-    """For how many cells it takes one sort only, unless these are too few; then two."""
-    digit = 32 - (_room(spheres) - 1).bit_length()
+def max_bins(spheres: int) -> int:
+    """Returns how many cells one pass of the sort can tell apart, or two if these are too few."""
+    digit = 32 - (_pair_capacity(spheres) - 1).bit_length()
     return min(1 << digit if 16 << digit >= spheres else 1 << 2 * digit, 8 * spheres) - 2
 
 
-def _room(spheres: int) -> int:
-    """How many pairs there is room for."""
-    return PAIRS * spheres + MORE_PAIRS
+def _pair_capacity(spheres: int) -> int:
+    """Returns how many pairs of a cell and a sphere fit."""
+    return PAIRS_PER_SPHERE * spheres + EXTRA_PAIRS
 
 
-def _order(cell: Ids, last: Int[Array, ""]) -> Ids:
-    """The order of cells from 0 to `last`: where the first one is, and so on, equals as they come.
+def _stable_order(cell: Ids, last: Int[Array, ""]) -> Ids:
+    """Returns the permutation that sorts cells 0..`last` stably (radix sort, lowest digit first).
 
-    To sort whole numbers that hold both a cell and its place takes 41 ns each, pairs of a cell and
-    a place 300. What does not fit into one number is sorted from the last digit on.
+    A key is one integer of a digit and a position: 41 ns each, where pairs of a cell and a position
+    take 300. The digit has the bits that the position leaves free.
     """
-    place = jnp.arange(cell.size, dtype=jnp.uint32)
+    position = jnp.arange(cell.size, dtype=jnp.uint32)
     bits = (cell.size - 1).bit_length()
 
     def sort(now: tuple[Int[Array, ""], Ids]) -> tuple[Int[Array, ""], Ids]:
         shift, order = now
-        digit = (_at(cell, order) >> shift).astype(jnp.uint32)
-        keys = jnp.sort(digit << bits | place)
-        return shift + (32 - bits), _at(order, (keys & ((1 << bits) - 1)).astype(jnp.int32))
+        digit = (_take(cell, order) >> shift).astype(jnp.uint32)
+        keys = jnp.sort(digit << bits | position)
+        return shift + (32 - bits), _take(order, (keys & ((1 << bits) - 1)).astype(jnp.int32))
 
     digits_left = lambda now: last >> now[0] > 0
-    return lax.while_loop(digits_left, sort, (jnp.int32(0), place.astype(jnp.int32)))[1]
+    return lax.while_loop(digits_left, sort, (jnp.int32(0), position.astype(jnp.int32)))[1]
 
 
-def _along(place: PixelArray, width: Scalar, count: Ids) -> Ids:
-    """Which cell along an axis a coordinate is in."""
-    last = (count - 1).astype(place.dtype)
-    return jnp.clip(place / width, 0, last).astype(jnp.int32)
+def _column(position: PixelArray, width: Scalar, count: Ids) -> Ids:
+    """Returns the index along an axis of the cell that contains a coordinate, clamped."""
+    last = (count - 1).astype(position.dtype)
+    return jnp.clip(position / width, 0, last).astype(jnp.int32)
 
 
-def _number(columns, counts: Int[Array, " axes"]) -> Ids:
-    """The numbers of cells, from 1."""
-    number = jnp.zeros_like(columns[-1])
+def _cell_index(columns: Sequence[Ids], counts: Int[Array, " axes"]) -> Ids:
+    """Returns the flat index of cells, from 1 on: cell 0 is the global list."""
+    index = jnp.zeros_like(columns[-1])
     for k in reversed(range(len(columns))):
-        number = number * counts[k] + columns[k]
-    return number + 1
+        index = index * counts[k] + columns[k]
+    return index + 1
 
 
-def _at(column: Shaped[Array, " rows"], place: Ids) -> Shaped[Array, "*#pixels"]:
-    return column.at[place].get(mode="promise_in_bounds")
+def _take(column: Shaped[Array, " rows"], index: Ids) -> Shaped[Array, "*#pixels"]:
+    return column.at[index].get(mode="promise_in_bounds")

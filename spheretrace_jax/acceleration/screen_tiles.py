@@ -1,4 +1,4 @@
-"""Screen tiles: which spheres the rays of each 8 x 8 pixels from the eye may meet."""
+"""Screen tiles: candidate spheres of the primary rays of each 8 x 8 pixels (tiled rendering)."""
 
 import math
 from collections.abc import Callable
@@ -11,29 +11,29 @@ from jaxtyping import Array, Int, Shaped
 
 from ..base.types import Mask, PixelArray
 from ..base.vec import Vec, dot, norm
-from ..scene.camera import view_frame
-from ..scene.scene import Camera
+from ..scene.camera import Camera, view_frame
 from ..xla.sharding import Rows
-from .binning import SLACK, BinBounds, Bins, T, Visit, bounds_2d
+from .binning import ROUNDING_ULPS, BinBounds, Bins, T, Visitor, bounds_2d
 
-# Tiles of this many pixels along each side.
+# Side of a tile in pixels. Larger tiles have more candidates per ray, smaller ones more pairs to
+# sort.
 TILE = 8
 
 
 class ScreenTiles(eqx.Module):
-    """The spheres of each tile of a picture."""
+    """The spheres that may cover each tile of a picture."""
 
     bins: Bins
-    row: Int[Array, ""] | None = None  #: of tiles, with which a strip of pixels starts, if any
+    row: Int[Array, ""] | None = None  #: the first row of tiles of a strip; None: not in a strip
 
-    def of_strip(self, first_row: Int[Array, ""]) -> "ScreenTiles":
-        """The view from pixels on that start at a row, a multiple of `TILE`."""
+    def from_row(self, first_row: Int[Array, ""]) -> "ScreenTiles":
+        """Returns the tiles of a strip that starts at a pixel row, a multiple of `TILE`."""
         return ScreenTiles(self.bins, first_row // TILE)
 
-    def visit(self, rays: Any, meet: Visit, state: T, done: Callable[[T], Mask]) -> T:
-        """What becomes of a strip's pixels by meeting the spheres of their tiles.
+    def visit(self, rays: Any, visitor: Visitor, state: T, done: Callable[[T], Mask]) -> T:
+        """Lets the primary rays of a strip test the spheres of their tiles; see `Bins.visit`.
 
-        **Arguments:** `rays`, `state`: what `meet` has to know of each ray, and what it changes.
+        **Arguments:** `rays`, `state`: pytrees of arrays of shape `(rows, columns)`.
         """
         shape = jax.tree.leaves(state)[0].shape
         rows, columns = (-(-n // TILE) for n in shape)
@@ -42,77 +42,83 @@ class ScreenTiles(eqx.Module):
         row = (self.row + jnp.arange(rows, dtype=jnp.int32)) // step
         column = jnp.arange(columns, dtype=jnp.int32) // step
         cell = self.bins.cell(column[None, :], row[:, None]).reshape(-1, 1)
-        rays, state = jax.tree.map(tiles, (rays, state))
-        state = self.bins.visit(cell, meet, rays, state, done)
-        return jax.tree.map(lambda plane: untiled(plane, shape), state)
+        rays, state = jax.tree.map(to_tiles, (rays, state))
+        state = self.bins.visit(cell, visitor, rays, state, done)
+        return jax.tree.map(lambda tiles: from_tiles(tiles, shape), state)
 
 
-def tiles_in(size: tuple[int, int]) -> int:
-    """How many tiles there are in a picture of a width and height in pixels."""
+def tile_count(size: tuple[int, int]) -> int:
+    """Returns the number of tiles of a picture with `size` (width, height) in pixels."""
     return math.prod(-(-n // TILE) for n in size)
 
 
-def tiles(plane: Shaped[Array, "rows columns"]) -> Shaped[Array, "tiles pixels"]:
-    """A strip's pixels tile by tile; those beyond its border are like the last."""
-    rows, columns = (-n % TILE for n in plane.shape)
-    wide = jnp.pad(plane, ((0, rows), (0, columns)), mode="edge")
-    down, across = (n // TILE for n in wide.shape)
-    return wide.reshape(down, TILE, across, TILE).swapaxes(1, 2).reshape(-1, TILE**2)
+def to_tiles(pixels: Shaped[Array, "rows columns"]) -> Shaped[Array, "tiles pixels"]:
+    """Reorders a strip's pixels tile by tile; repeats the border to fill the last tiles."""
+    rows, columns = (-n % TILE for n in pixels.shape)
+    full = jnp.pad(pixels, ((0, rows), (0, columns)), mode="edge")
+    down, across = (n // TILE for n in full.shape)
+    return full.reshape(down, TILE, across, TILE).swapaxes(1, 2).reshape(-1, TILE**2)
 
 
-def untiled(
-    plane: Shaped[Array, "tiles pixels"], shape: tuple[int, int]
+def from_tiles(
+    tiles: Shaped[Array, "tiles pixels"], shape: tuple[int, int]
 ) -> Shaped[Array, "rows columns"]:
-    """A strip's pixels row by row: `tiles` the other way round."""
+    """Reorders a strip's pixels row by row: the inverse of `to_tiles`."""
     down, across = (-(-n // TILE) for n in shape)
-    wide = plane.reshape(down, across, TILE, TILE).swapaxes(1, 2)
-    return wide.reshape(down * TILE, across * TILE)[: shape[0], : shape[1]]
+    full = tiles.reshape(down, across, TILE, TILE).swapaxes(1, 2)
+    return full.reshape(down * TILE, across * TILE)[: shape[0], : shape[1]]
 
 
 def screen_bounds(
     center: Vec, radius: PixelArray, camera: Camera, size: tuple[int, int], rows: Rows
 ) -> BinBounds:
-    """Where spheres are in the tiles of some rows of a picture of `size` (width, height)."""
+    """Bounds spheres on the screen, in tiles.
+
+    **Arguments:** `size`: the picture's (width, height) in pixels. `rows`: the block of pixel rows
+    that the tiles cover.
+    """
     frame, scale = view_frame(camera), camera.distance / (camera.window / size[1])
-    to_center, slack = center - frame.eye, SLACK * jnp.finfo(radius.dtype).eps
+    to_center, slack = center - frame.eye, ROUNDING_ULPS * jnp.finfo(radius.dtype).eps
     radius = radius + norm(to_center) * slack
-    along = dot(to_center, frame.forward)
+    depth = dot(to_center, frame.forward)
     shape = size[0], rows.count
     first = jnp.zeros_like(scale), jnp.asarray(rows.first, scale.dtype)
     low, high = [], []
-    for side, pixels, start, count in zip(
+    for axis, pixels, start, count in zip(
         (frame.right, -frame.up), size, first, shape, strict=True
     ):
-        left, right = tangents(dot(to_center, side), along, radius)
-        left = (left * scale + (pixels / 2 - slack * pixels - start)) / TILE
-        right = (right * scale + (pixels / 2 + slack * pixels - start)) / TILE
+        least, most = tangent_slopes(dot(to_center, axis), depth, radius)
+        least = (least * scale + (pixels / 2 - slack * pixels - start)) / TILE
+        most = (most * scale + (pixels / 2 + slack * pixels - start)) / TILE
         border = count / TILE
-        seen = (left < border) & (right > 0)
-        low.append(jnp.where(seen, jnp.maximum(left, 0), 1))
-        high.append(jnp.where(seen, jnp.minimum(right, border), 0))
+        visible = (least < border) & (most > 0)
+        low.append(jnp.where(visible, jnp.maximum(least, 0), 1))
+        high.append(jnp.where(visible, jnp.minimum(most, border), 0))
     return bounds_2d(low, high, [-(-n // TILE) for n in shape], step=2.0)
 
 
-def tangents(x: PixelArray, z: PixelArray, radius: PixelArray) -> tuple[PixelArray, PixelArray]:
-    """Between which x/z circles lie that are seen from the origin, as far as they are at z > 0.
+def tangent_slopes(
+    x: PixelArray, z: PixelArray, radius: PixelArray
+) -> tuple[PixelArray, PixelArray]:
+    """Bounds the slopes x/z of circles seen from the origin, as far as they lie at z > 0.
 
-    The tangents' slopes m solve (z^2 - R^2) m^2 - 2 x z m + x^2 - R^2 = 0; of the two forms of
-    each root the one is taken that subtracts no near numbers.
+    The tangents' slopes m solve (z^2 - R^2) m^2 - 2 x z m + x^2 - R^2 = 0. Of the two forms of
+    each root the code takes the one that subtracts no nearly equal numbers.
 
-    **Arguments:** `x`, `z`: the circles' centres, the view along z.
+    **Arguments:** `x`, `z`: the circles' centres, with the view along z.
 
-    **Returns:** the least and the largest slope, infinite where the circle reaches sideways beyond
-    all slopes, inf and -inf where it is behind.
+    **Returns:** the least and the largest slope. A bound is infinite where the circle extends
+    sideways beyond all slopes; (inf, -inf) where it is behind the origin.
     """
     left, x = x < 0, jnp.abs(x)
     square = radius * radius
     root = radius * jnp.sqrt(jnp.maximum(x * x + z * z - square, 0))
-    beyond, before = z * z - square, z > 0
-    top = jnp.where(before, x * x - square, x * z - root)
-    bottom = jnp.where(before, x * z + root, beyond)
+    leading, center_ahead = z * z - square, z > 0
+    top = jnp.where(center_ahead, x * x - square, x * z - root)
+    bottom = jnp.where(center_ahead, x * z + root, leading)
     low = jnp.where(bottom != 0, top / jnp.where(bottom != 0, bottom, 1), -jnp.inf)
     ahead = z > radius
-    high = jnp.where(ahead, (x * z + root) / jnp.where(ahead, beyond, 1), jnp.inf)
+    high = jnp.where(ahead, (x * z + root) / jnp.where(ahead, leading, 1), jnp.inf)
     inside, behind = x * x + z * z <= square, z <= -radius
     low = jnp.where(inside, -jnp.inf, jnp.where(behind, jnp.inf, low))
     high = jnp.where(behind & ~inside, -jnp.inf, high)

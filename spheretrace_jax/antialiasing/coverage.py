@@ -1,9 +1,9 @@
-"""How much of a pixel lies inside an edge: exact areas of a half-plane and of a disc in a box.
+"""Analytic coverage: exact areas of a half-plane and of a disc inside a pixel's box.
 
-A pixel's box is the unit square around its centre, x and y from -1/2 to 1/2. What bounds a region
-is known at the centre together with its derivatives by x and y (ray differentials: Igehy, "Tracing
-Ray Differentials", SIGGRAPH 1999), and is taken to be linear across the pixel. Areas, unlike the
-yes or no of a single ray, are differentiable in where the edge is.
+A pixel's box is the unit square around its centre, x and y from -1/2 to 1/2. The function that
+bounds a region is known at the centre with its derivatives by x and y (ray differentials: Igehy,
+"Tracing Ray Differentials", SIGGRAPH 1999), and is taken to be linear across the pixel. Areas,
+unlike the hit or miss of a single ray, are differentiable in the position of the edge.
 """
 
 import equinox as eqx
@@ -13,52 +13,53 @@ import jax.numpy as jnp
 from ..base.safe_math import clamp, larger, safe_sqrt, smaller
 from ..base.types import PixelArray
 from ..base.vec import Vec, cross, dot, unit
+from ..tracing.differential import Differential
 from ..xla.barriers import barrier
-from .differential import Differential
 from .polygon import HalfPlane, half_plane_of, half_plane_with_area
 
-# Where rounding is more than one part in this many of a parallelogram's area, as it is seen too
-# obliquely or is too small on the disc, it is cut by the straight edge R - |q| = 0 instead.
-_DIGITS = 256
+# Least ratio of a parallelogram's area to its rounding error. Below this ratio the straight edge
+# R - |q| = 0 cuts the pixel instead of the circle: the parallelogram is seen too obliquely or is
+# too small on the disc.
+_LEAST_PRECISION = 256
 
 
 class Region(eqx.Module):
-    """A part of a pixel's box, and the half-plane that stands for it where edges cross."""
+    """The covered region of a pixel's box, and its half-plane for clipping where edges cross."""
 
-    part: PixelArray  #: its area, 0..1
+    part: PixelArray  #: the area, 0..1
     edge: HalfPlane  #: of the same area, on the same side
 
 
 def half_plane_region(f: Differential[PixelArray]) -> Region:
-    """Where f > 0; see `half_plane`."""
+    """Returns the region f > 0; see `half_plane_area`."""
     return Region(half_plane_area(f.value, f.dx, f.dy), half_plane_of(f))
 
 
 def disc_region(q: Differential[Vec], axis: Vec, radius: PixelArray) -> Region:
-    """Where |q| < radius; see `disc`."""
-    part = disc_area(q.value, q.dx, q.dy, axis, radius)
+    """Returns the region |q| < radius; see `disc_area`."""
+    area = disc_area(q.value, q.dx, q.dy, axis, radius)
     inwards = q.value * (-1 / (radius * radius))
-    return Region(part, half_plane_with_area(part, dot(inwards, q.dx), dot(inwards, q.dy)))
+    return Region(area, half_plane_with_area(area, dot(inwards, q.dx), dot(inwards, q.dy)))
 
 
 def half_plane_area(f: PixelArray, fx: PixelArray, fy: PixelArray) -> PixelArray:
-    """The part of a pixel's box in which f + fx x + fy y > 0.
+    """Computes the area of a pixel's box in which f + fx x + fy y > 0.
 
-    With a the larger and a m the smaller of |fx|, |fy| and u = f/a, it is the mean over y in
+    Let a be the larger of |fx|, |fy|, a m the smaller, and u = f/a. The area is the mean over y in
     -1/2..1/2 of clamp(u + 1/2 + m y, 0, 1).
 
-    **Arguments:** `f`: any function that is positive inside, at the pixel's centre. `fx`, `fy`:
-    its derivatives by the position in pixels. Where both are 0 the edge does not pass.
+    **Arguments:** `f`: at the pixel's centre, any function that is positive inside. `fx`, `fy`:
+    the derivatives of f by the position in pixels. No edge crosses the pixel where both are 0.
 
     **Returns:** the area, 0..1, differentiable in all three.
     """
     fx, fy = jnp.abs(fx), jnp.abs(fy)
     a, b = larger(fx, fy), smaller(fx, fy)
-    passes = jnp.abs(f) < 2 * a
-    a = jnp.where(passes, a, 1)
-    u = jnp.where(passes, f / a, jnp.where(f > 0, 2, -2).astype(f.dtype))
-    # for smaller m the quotient below is rounding, and m no longer matters
-    m = larger(jnp.where(passes, b / a, 0), (8 * float(jnp.finfo(f.dtype).eps)) ** 0.5)
+    crosses = jnp.abs(f) < 2 * a
+    a = jnp.where(crosses, a, 1)
+    u = jnp.where(crosses, f / a, jnp.where(f > 0, 2, -2).astype(f.dtype))
+    # for smaller m the quotient below is rounding error, and the area no longer depends on m
+    m = larger(jnp.where(crosses, b / a, 0), (8 * float(jnp.finfo(f.dtype).eps)) ** 0.5)
     low, high = u + 0.5 - m / 2, u + 0.5 + m / 2
     ramp_low, ramp_high = clamp(low, 0, 1), clamp(high, 0, 1)
     ramp = (ramp_high - ramp_low) * (ramp_high + ramp_low) / 2
@@ -67,23 +68,23 @@ def half_plane_area(f: PixelArray, fx: PixelArray, fy: PixelArray) -> PixelArray
 
 
 def disc_area(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: PixelArray) -> PixelArray:
-    """The part of a pixel's box in which |q + qx x + qy y| < radius.
+    """Computes the area of a pixel's box in which |q + qx x + qy y| < radius.
 
-    For the silhouette of a sphere q runs from the ray to its centre at a right angle; for a shadow
-    the ray runs from the lit point to the light. The box becomes a parallelogram in the plane
-    across the ray, and its area inside the disc is what is left when the excess beyond the circle
-    is taken off: along each side, the integral of (r^2 - R^2)/2 by the angle. Slivers, spheres
-    smaller than a pixel and curved edges are exact.
+    For the silhouette of a sphere q is the perpendicular from the ray to the sphere's centre. For a
+    shadow the ray runs from the lit point to the light. The box becomes a parallelogram in the
+    plane across the ray. Its area inside the disc is its area minus the excess beyond the circle:
+    along each side, the integral of (r^2 - R^2)/2 by the angle. The area is exact for slivers,
+    spheres smaller than a pixel and curved edges.
 
-    **Arguments:** `q`: at the pixel's centre, world units. `qx`, `qy`: its derivatives by the
+    **Arguments:** `q`: at the pixel's centre, world units. `qx`, `qy`: the derivatives of q by the
     position in pixels. `axis`: the ray's direction, of unit length. `radius`: > 0.
 
     **Returns:** the area, 0..1, differentiable in all.
     """
     per_radius = 1 / radius
     q, qx, qy = q * per_radius, qx * per_radius, qy * per_radius
-    # the box in the plane across the ray; which axes are taken there changes no area, so that they
-    # need no derivatives, which overflow where qx is tiny
+    # the box in the plane across the ray: the choice of axes changes no area, so that the axes need
+    # no derivatives, which would overflow where qx is tiny
     qx, qy = (v - axis * dot(v, axis) for v in (qx, qy))
     first = jax.lax.stop_gradient(unit(qx))
     second = cross(jax.lax.stop_gradient(axis), first)
@@ -92,16 +93,15 @@ def disc_area(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: PixelArray) -> PixelA
     area = xx * yy - xy * yx
     square = xx * xx + xy * xy + yx * yx + yy * yy
     rounding = float(jnp.finfo(area.dtype).eps) * (square + safe_sqrt(square))
-    thin = jnp.abs(area) <= _DIGITS * jax.lax.stop_gradient(rounding)
-    # the corners, once around, and the side that starts at each
-    across = [-0.5, 0.5, 0.5, -0.5]
-    along = [-0.5, -0.5, 0.5, 0.5]
-    corner_x = jnp.stack([cx + s * xx + t * yx for s, t in zip(across, along, strict=True)])
-    corner_y = jnp.stack([cy + s * xy + t * yy for s, t in zip(across, along, strict=True)])
+    thin = jnp.abs(area) <= _LEAST_PRECISION * jax.lax.stop_gradient(rounding)
+    # the corners in order, and the side that starts at each corner
+    corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+    corner_x = jnp.stack([cx + s * xx + t * yx for s, t in corners])
+    corner_y = jnp.stack([cy + s * xy + t * yy for s, t in corners])
     side_x = jnp.stack([xx, yx, -xx, -yx])
     side_y = jnp.stack([xy, yy, -xy, -yy])
-    beyond = jnp.sum(_beyond_unit_circle(corner_x, corner_y, side_x, side_y), axis=0)
-    round_edge = clamp(1 - beyond / jnp.where(thin, 1, area), 0, 1)
+    excess = jnp.sum(_excess_beyond_circle(corner_x, corner_y, side_x, side_y), axis=0)
+    round_edge = clamp(1 - excess / jnp.where(thin, 1, area), 0, 1)
     length = safe_sqrt(cx * cx + cy * cy)
     per_length = 1 / jnp.where(length > 0, length, 1)
     slope = lambda x, y: -(cx * x + cy * y) * per_length
@@ -109,35 +109,37 @@ def disc_area(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: PixelArray) -> PixelA
     return jnp.where(thin, straight_edge, round_edge)
 
 
-def _beyond_unit_circle(x: PixelArray, y: PixelArray, dx: PixelArray, dy: PixelArray) -> PixelArray:
-    """The integral of (r^2 - 1)/2 by the angle along the part of a side outside the unit circle.
+def _excess_beyond_circle(
+    x: PixelArray, y: PixelArray, dx: PixelArray, dy: PixelArray
+) -> PixelArray:
+    """Integrates (r^2 - 1)/2 by the angle along a side, where it is outside the unit circle.
 
     **Arguments:** the side runs from (x, y) to (x + dx, y + dy).
     """
-    # the integrand vanishes where the side crosses the circle, so that moving these ends changes
-    # nothing: without their derivatives no root is ever differentiated near 0
-    enter, leave = _inside_unit_circle(*jax.lax.stop_gradient((x, y, dx, dy)))
-    some = dx * dx + dy * dy > 0
+    # the integrand vanishes at the crossings, so that moving these limits changes nothing: without
+    # their derivatives no root is ever differentiated near 0
+    enter, leave = _circle_crossings(*jax.lax.stop_gradient((x, y, dx, dy)))
+    nonzero = dx * dx + dy * dy > 0
 
-    def stretch(start: PixelArray, end: PixelArray) -> PixelArray:
+    def integral(start: PixelArray, end: PixelArray) -> PixelArray:
         ax, ay = x + start * dx, y + start * dy
         bx, by = x + end * dx, y + end * dy
-        turned = ax * (by - ay) - ay * (bx - ax)
-        ahead = ax * bx + ay * by
-        empty = (end <= start) | ~some | (turned == 0) & (ahead == 0)
-        angle = jnp.arctan2(jnp.where(empty, 0, turned), jnp.where(empty, 1, ahead))
-        return jnp.where(empty, 0, (turned - angle) / 2)
+        cross_ab = ax * (by - ay) - ay * (bx - ax)
+        dot_ab = ax * bx + ay * by
+        empty = (end <= start) | ~nonzero | (cross_ab == 0) & (dot_ab == 0)
+        angle = jnp.arctan2(jnp.where(empty, 0, cross_ab), jnp.where(empty, 1, dot_ab))
+        return jnp.where(empty, 0, (cross_ab - angle) / 2)
 
-    return stretch(jnp.zeros_like(enter), enter) + stretch(leave, jnp.ones_like(leave))
+    return integral(jnp.zeros_like(enter), enter) + integral(leave, jnp.ones_like(leave))
 
 
-def _inside_unit_circle(
+def _circle_crossings(
     x: PixelArray, y: PixelArray, dx: PixelArray, dy: PixelArray
 ) -> tuple[PixelArray, PixelArray]:
-    """Where a side enters and leaves the unit circle, 0..1 of its length."""
+    """Returns where a side enters and leaves the unit circle, as fractions 0..1 of its length."""
     square = dx * dx + dy * dy
     per_square = 1 / jnp.where(square > 0, square, 1)
     middle = -(x * dx + y * dy) * per_square
-    apart = x * dy - y * dx  # from the centre to the side, times the side's length
-    chord = safe_sqrt(square - apart * apart) * per_square
-    return jnp.clip(middle - chord, 0, 1), jnp.clip(middle + chord, 0, 1)
+    moment = x * dy - y * dx  # the distance from the centre times the side's length
+    half_chord = safe_sqrt(square - moment * moment) * per_square
+    return jnp.clip(middle - half_chord, 0, 1), jnp.clip(middle + half_chord, 0, 1)

@@ -1,4 +1,4 @@
-"""Where in a pixel an object is seen: its silhouette or horizon, and lines where surfaces meet."""
+"""Silhouettes: the part of a pixel inside an object's outline or horizon, and surface crossings."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,87 +7,77 @@ from ..base.safe_math import safe_sqrt
 from ..base.types import PixelArray
 from ..base.vec import Vec, dot, where
 from ..scene.camera import Ray
-from ..scene.needs import Needs
-from ..tracing.intersect import perpendicular
-from ..tracing.tables import Hit, SceneTables, Surface, mean_surface_at
+from ..tracing.context import TraceContext
+from ..tracing.differential import Differential
+from ..tracing.hit import Hit, Surface
+from ..tracing.surface import mean_surface_at
 from .coverage import Region, disc_region, half_plane_region
-from .differential import Differential
 from .polygon import HalfPlane, half_plane_of, whole_pixel
 
 
 class SilhouetteDistance(eqx.Module):
-    """How a beam passes the edges of objects."""
+    """The distance from a ray to the silhouette of the object that it hits, or just misses."""
 
     q: Differential[Vec]  #: from the ray to the sphere's centre, at a right angle to the ray
-    slope: (
-        Differential[PixelArray] | None
-    )  #: D.N, positive toward the plane; None if there are no planes
+    slope: Differential[PixelArray] | None  #: D.N, positive toward the plane; None without planes
     reach: PixelArray  #: how far |q|, for planes D.N, varies from the pixel's centre to its border
 
 
 class SurfaceCrossing(eqx.Module):
-    """Where in a pixel a surface lies before the one behind it."""
+    """The part of a pixel in which a surface lies before the one behind it."""
 
     region: Region  #: inside the silhouette of the one behind
     ahead: HalfPlane
 
 
 def silhouette_distance(
-    world: SceneTables, beam: Differential[Ray], hit: Hit, needs: Needs
+    context: TraceContext, ray: Differential[Ray], hit: Hit
 ) -> SilhouetteDistance:
-    """How a beam passes the edge of the object that it hits, or just misses."""
-    center = world.ball(hit.id).center
-    q = beam.map(lambda ray: perpendicular(ray.origin, ray.direction, center)[1])
+    """Returns the distance from rays to the silhouettes of the objects at their hits."""
+    sphere = context.sphere(hit.id)
+    q = ray.map(lambda ray: sphere.perpendicular(ray)[1])
     reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
-    if not needs.planes:
+    if not context.needs.planes:
         return SilhouetteDistance(q, None, reach)
-    flat = world.flat(hit.id)
-    away = dot(flat.point - beam.value.origin, flat.normal)
-    side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-    slope = beam.map(lambda ray: dot(ray.direction, flat.normal) * side)
-    level = safe_sqrt(slope.dx * slope.dx + slope.dy * slope.dy) / 2
-    return SilhouetteDistance(q, slope, jnp.where(hit.id >= world.spheres, level, reach))
+    slope, level = context.plane(hit.id).horizon(ray)
+    is_plane = context.tables.is_plane(hit.id)
+    return SilhouetteDistance(q, slope, jnp.where(is_plane, level, reach))
 
 
 def silhouette_region(
-    world: SceneTables, beam: Differential[Ray], hit: Hit, rim: SilhouetteDistance
+    context: TraceContext, ray: Ray, hit: Hit, distance: SilhouetteDistance
 ) -> Region:
-    """What of a pixel is inside an object's silhouette; all of it, if there is none."""
-    ball = world.ball(hit.id)
-    is_ball = (hit.id >= 0) & (hit.id < world.spheres)
-    radius = jnp.where(ball.radius > 0, ball.radius, 1)
-    inside = disc_region(rim.q, beam.value.direction, radius)
-    whole = Region(jnp.ones_like(radius), whole_pixel(radius))
-    outline = where(is_ball & ~hit.inside, inside, whole)
-    if rim.slope is None:
-        return outline
-    return where(hit.id >= world.spheres, half_plane_region(rim.slope), outline)
+    """Returns the part of a pixel inside an object's silhouette; all of it, if there is none."""
+    sphere = context.sphere(hit.id)
+    radius = jnp.where(sphere.radius > 0, sphere.radius, 1)
+    inside = disc_region(distance.q, ray.direction, radius)
+    all_ = Region(jnp.ones_like(radius), whole_pixel(radius))
+    region = where(context.tables.is_sphere(hit.id) & ~hit.inside, inside, all_)
+    if distance.slope is None:
+        return region
+    return where(context.tables.is_plane(hit.id), half_plane_region(distance.slope), region)
 
 
 def mean_surface(
-    world: SceneTables, beam: Differential[Ray], hit: Hit, rim: SilhouetteDistance, needs: Needs
+    context: TraceContext, ray: Differential[Ray], hit: Hit, distance: SilhouetteDistance
 ) -> Differential[Surface]:
-    """The mean surface of the part of a pixel inside an object's silhouette."""
-    return beam.beside(rim.q).map(
-        lambda both: mean_surface_at(world, both[0], both[1], hit, needs, rim.reach)
+    """Returns the mean surface of the part of a pixel inside an object's silhouette."""
+    return ray.beside(distance.q).map(
+        lambda both: mean_surface_at(context, both[0], both[1], hit, distance.reach)
     )
 
 
 def surface_crossing(
-    world: SceneTables,
-    beam: Differential[Ray],
-    surface: Differential[Surface],
-    behind: Hit,
-    needs: Needs,
+    context: TraceContext, ray: Differential[Ray], surface: Differential[Surface], behind: Hit
 ) -> SurfaceCrossing:
-    """How a surface and the one behind it may cut one another."""
-    rim = silhouette_distance(world, beam, behind, needs)
-    other = mean_surface(world, beam, behind, rim, needs)
+    """Returns where a surface and the one behind it may cut one another."""
+    distance = silhouette_distance(context, ray, behind)
+    other = mean_surface(context, ray, behind, distance)
 
-    def further(three: tuple[Ray, tuple[Surface, Surface]]) -> PixelArray:
+    def depth_between(three: tuple[Ray, tuple[Surface, Surface]]) -> PixelArray:
         ray, (near, far) = three
         return dot(far.point - near.point, ray.direction)
 
-    f = half_plane_of(beam.beside(surface.beside(other)).map(further))
-    ahead = where(behind.id >= 0, f, whole_pixel(rim.reach))
-    return SurfaceCrossing(silhouette_region(world, beam, behind, rim), ahead)
+    f = half_plane_of(ray.beside(surface.beside(other)).map(depth_between))
+    ahead = where(behind.id >= 0, f, whole_pixel(distance.reach))
+    return SurfaceCrossing(silhouette_region(context, ray.value, behind, distance), ahead)

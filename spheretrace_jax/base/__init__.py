@@ -1,1 +1,1 @@
-"""What everything else rests on: array types, vectors, safe mathematics, errors."""
+"""Foundations of the package: array types, vectors, safe mathematics, errors."""

@@ -2,7 +2,7 @@
 
 
 class InputError(ValueError):
-    """Something that the user gave cannot be used. The command line exits with status 2."""
+    """An argument, file or option that cannot be used. The command line exits with status 2."""
 
 
 class SceneError(InputError):
@@ -14,9 +14,9 @@ class PictureError(InputError):
 
 
 class SceneWarning(UserWarning):
-    """A scene that can be used but breaks a rule, or cannot give what is asked of it."""
+    """A usable scene that breaks a rule or cannot give the result asked of the scene."""
 
 
 def printable(text: str) -> str:
-    """What is quoted from a file, on one line and with no power over the terminal."""
+    """Escapes text quoted from a file: one line, without control over the terminal."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

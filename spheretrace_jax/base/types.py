@@ -8,19 +8,19 @@ Scalar = Float[Array, ""]
 """One real number of the scene."""
 
 PixelArray = Float[Array, "*#pixels"]
-"""One real number per pixel. Functions of planes take scalars too: `*pixels` may be empty."""
+"""One real number per pixel. Functions of pixels take scalars too: `*pixels` may be empty."""
 
 Mask = Bool[Array, "*#pixels"]
-"""One yes or no per pixel."""
+"""One boolean per pixel."""
 
 Ids = Int[Array, "*#pixels"]
-"""The number of an object per pixel: spheres first, then planes; -1 where there is none."""
+"""The index of an object per pixel: spheres first, then planes; -1 for no object."""
 
 Index = int | Int[Array, ""]
-"""The number of one object or light, in a loop that is written out or not."""
+"""The index of one object or light, in an unrolled loop (int) or a rolled one (tracer)."""
 
 Picture = Float[Array, "height width 3"]
 """Linear RGB, row 0 at the top, unclamped."""
 
 Highlight = Literal["phong", "blinn"]
-"""Which highlight: Phong's (R.V)^n or the halfway vector's (H.N)^n."""
+"""The highlight model: Phong's (R.V)^n or the halfway vector's (H.N)^n."""

@@ -1,1 +1,1 @@
-"""Files, on the host: scene text, pictures, and export to other renderers."""
+"""Files: scenes and pictures, read and written on the host."""

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Atomic writing: files are written whole or not at all."""
 
 import os
 from collections.abc import Iterator
@@ -9,13 +9,15 @@ from uuid import uuid4
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary file beside `path`, of the same ending, that takes its place when all went well.
+    """Yields a temporary file in the folder of `path`, which replaces `path` on success.
+
+    The temporary file has the ending of `path`.
 
     **Raises:** `OSError`, which names `path`, if the file cannot be written.
     """
-    check_place(path)
+    check_target(path)
     target = Path(os.path.realpath(path))  # a link stays a link
-    # named before it is made, so that no interrupt leaves it behind
+    # named before creation, so that no interrupt leaves the file behind
     temporary = target.parent / f".{target.stem[:32]}.{uuid4().hex}{target.suffix}"
     try:
         temporary.touch(exist_ok=False)
@@ -29,10 +31,11 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def check_place(path: str | os.PathLike) -> None:
-    """Says early whether a file can be written to `path`, before anything is computed.
+def check_target(path: str | os.PathLike) -> None:
+    """Checks early that a file can be written to `path`, before its content is computed.
 
-    **Raises:** `OSError` for missing and write-protected folders and what is no regular file.
+    **Raises:** `OSError` for missing and write-protected folders, and for folders, devices and
+    pipes.
     """
     path = Path(path)
     folder = Path(os.path.realpath(path)).parent
@@ -47,9 +50,9 @@ def check_place(path: str | os.PathLike) -> None:
 
 
 def reserve(file: Path, size: int) -> None:
-    """Finds out whether there is room for `size` bytes: for libraries that cope badly without.
+    """Reserves `size` bytes on the disk, for libraries that cannot handle a full disk.
 
-    **Raises:** `OSError` if there is not.
+    **Raises:** `OSError` if the disk is full.
     """
     if hasattr(os, "posix_fallocate"):  # not on macOS and Windows
         with open(file, "r+b") as opened:
@@ -57,6 +60,6 @@ def reserve(file: Path, size: int) -> None:
 
 
 def write_text(path: str | os.PathLike, text: str) -> None:
-    """Writes a text file, whole or not at all."""
+    """Writes a text file atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

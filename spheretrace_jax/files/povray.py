@@ -1,13 +1,13 @@
-"""Scenes for POV-Ray 3.7, which then draws the same picture.
+"""POV-Ray scenes: text for POV-Ray 3.7, which then draws the same picture.
 
-The program's shading is POV-Ray's classic one, so nearly everything has a keyword of its own; where
-it has not, the way round is explained here and in the .pov text. What cannot be said exactly is
-listed at the top of that text, in lines `// not exact: ...`. A linear picture to compare with:
+The lecture's shading is POV-Ray's classic one, so nearly every term has a keyword in POV-Ray. The
+substitutes for the other terms are explained here and in the .pov text. Inexact features are listed
+at the top of that text, in lines `// not exact: ...`. This command draws a linear picture:
 
     povray scene.pov +W512 +H512 -A -D +FN16 File_Gamma=1.0 +Oscene.png
 
-POV-Ray's vectors have no handedness of their own; it is the camera's that counts, so world
-coordinates are written as they are.
+POV-Ray's vectors have no handedness: only the camera's axes count, so world coordinates need no
+conversion.
 """
 
 import os
@@ -20,9 +20,12 @@ from jaxtyping import Array
 from ..base.errors import InputError, SceneError
 from ..base.types import Highlight
 from ..base.vec import Vec
-from ..scene.camera import view_frame
-from ..scene.scene import Camera, Planes, Scene, Spheres, Texture
-from ..tracing.shading import HIGHLIGHTS
+from ..scene.camera import Camera, view_frame
+from ..scene.planes import Planes
+from ..scene.scene import Scene
+from ..scene.settings import HIGHLIGHTS
+from ..scene.spheres import Spheres
+from ..scene.texture import Texture
 from ..tracing.tables import SceneTables, build_tables
 from .atomic import write_text
 
@@ -34,8 +37,8 @@ _LINEAR_FORMATS = ("exr", "hdr")
 
 _Number = float | np.floating
 
-# POV-Ray dims a surface by what it lets through; _sphere divides by that, so it must not be 0.
-# A power of 2, since POV-Ray keeps colours in float32.
+# Least opacity 1 - kt that is written. POV-Ray multiplies ambient and diffuse light by the opacity,
+# and `_spheres` divides by it, so it must not be 0. A power of 2, as POV-Ray keeps colours in float32.
 _LEAST_OPACITY = 2.0**-14
 _FARTHEST = 1e7  # POV-Ray's MAX_DISTANCE
 _NEAREST = 1e-3  # POV-Ray's SHADOW_TOLERANCE
@@ -68,10 +71,10 @@ def write_povray(
     bounces: int = 5,
     scene_path: str | os.PathLike | None = None,
 ) -> None:
-    """Writes a scene for POV-Ray 3.7, whole or not at all; see `povray_text`.
+    """Writes a scene for POV-Ray 3.7 atomically; see `povray_text`.
 
-    **Arguments:** `scene_path`: the scene file it was made from, whose name (without its folder)
-    is mentioned in the first line.
+    **Arguments:** `scene_path`: the file of the scene, whose name (without its folder) stands in
+    the first line.
 
     **Raises:** as `povray_text`; `OSError` if the file cannot be written.
     """
@@ -82,16 +85,16 @@ def write_povray(
 
 
 def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 5) -> str:
-    """A scene in POV-Ray 3.7's language, for pictures of any size.
+    """Returns a scene in POV-Ray 3.7's language, for pictures of any size.
 
-    Textures are named as in the scene: from `load_scene` these are absolute paths, since POV-Ray
-    looks for relative ones where it was started.
+    Textures keep the names of the scene. From `load_scene` these are absolute paths, as POV-Ray
+    looks up relative paths in its working directory.
 
     **Arguments:** `highlight`, `bounces`: as for `render`.
 
-    **Raises:** `SceneError` for textures that are in no file, or in a file of a kind that POV-Ray
-    does not read, and for numbers that are not finite; `InputError` for an unknown highlight,
-    bounces out of range and arrays that are neither float32 nor float64.
+    **Raises:** `SceneError` for textures that are in no file, or in a format that POV-Ray does not
+    read, and for numbers that are not finite. `InputError` for an unknown highlight, bounces out of
+    range, and arrays that are neither float32 nor float64.
     """
     if highlight not in HIGHLIGHTS:
         raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
@@ -99,49 +102,50 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
         raise InputError(f"bounces must be in 0..255 for POV-Ray, got {bounces}")
     scene.check_dtype()
     eye = _points(view_frame(scene.camera).eye)
-    parts = [
-        *(f"// not exact: {what}" for what in _inexact(scene, eye, bounces)),
+    lines = [
+        *(f"// not exact: {feature}" for feature in _inexact(scene, eye, bounces)),
         *_settings(scene, bounces),
         *_camera(scene.camera),
         *_background(scene),
     ]
     for position, color in _rows(scene.lights.position, scene.lights.color):
-        parts.append(f"light_source {{ {_vector(position)} rgb {_vector(color)} }}")
+        lines.append(f"light_source {{ {_vector(position)} rgb {_vector(color)} }}")
     for k in sorted(set(scene.spheres.pic) - {0}):
-        parts.append(_image(f"Image{k}", scene.textures[k - 1]))
-    parts += _spheres(scene, eye, highlight)
-    parts += _planes(scene.planes, highlight)
-    parts += _back_plane(scene)
-    return "\n".join(parts) + "\n"
+        lines.append(_image(f"Image{k}", scene.textures[k - 1]))
+    lines += _spheres(scene, eye, highlight)
+    lines += _planes(scene.planes, highlight)
+    lines += _back_plane(scene)
+    return "\n".join(lines) + "\n"
 
 
 def _number(x: _Number) -> str:
-    """The shortest decimal that reads back as the same number of its dtype."""
+    """Returns the shortest decimal that reads as the same number of its dtype."""
     if not np.isfinite(x):
         raise SceneError(f"a scene that holds {x} cannot be written for POV-Ray")
     return str(x)
 
 
 def _vector(values: Iterable[_Number]) -> str:
+    """Returns a vector or a colour in POV-Ray's notation."""
     return f"<{', '.join(_number(x) for x in values)}>"
 
 
 def _rows(*columns: Array) -> Iterator[tuple]:
-    """The rows of a table that is stored as columns, as NumPy's numbers."""
+    """Yields the rows of a table of columns, as NumPy's numbers."""
     return zip(*(np.asarray(column) for column in columns), strict=True)
 
 
 def _points(v: Vec) -> np.ndarray:
-    """The planes of a `Vec` as one array of NumPy, its last axis x, y, z."""
+    """Returns a `Vec` as one array of NumPy, with the last axis x, y, z."""
     return np.stack([np.asarray(v.x), np.asarray(v.y), np.asarray(v.z)], axis=-1)
 
 
 def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
-    """What POV-Ray will, or may, draw differently."""
-    world = build_tables(scene)
+    """Lists the features that POV-Ray draws, or may draw, differently."""
+    tables = build_tables(scene)
     radius, kt = np.asarray(scene.spheres.radius), np.asarray(scene.spheres.kt)
     from_eye = np.linalg.norm(np.asarray(scene.spheres.center) - eye, axis=1) - radius
-    mirrors = bool(np.any(np.asarray(world.materials.kgr) > 0))
+    mirrors = bool(np.any(np.asarray(tables.materials.kgr) > 0))
     inexact = {
         "POV-Ray has its own antialiasing, +A": scene.antialias,
         f"kt counts as at most {1 - _LEAST_OPACITY}": (kt > 1 - _LEAST_OPACITY).any(),
@@ -149,23 +153,25 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
             (kt > 0).any() and (mirrors or (kt > 0).sum() > bounces)
         ),
         "far walls of transparent spheres that meet other objects or hold the eye": (
-            any(_meets(world, i, eye) for i in np.flatnonzero(kt > 0))
+            any(_meets(tables, i, eye) for i in np.flatnonzero(kt > 0))
         ),
         f"POV-Ray sees nothing farther than {_FARTHEST:g} units, the ends of planes neither": (
-            world.planes > 0 or (from_eye > _FARTHEST).any()
+            tables.plane_count > 0 or (from_eye > _FARTHEST).any()
         ),
         f"POV-Ray drops the shadows of what is nearer than {_NEAREST:g} units": (
             (radius < 10 * _NEAREST).any()
         ),
     }
-    return [what for what, holds in inexact.items() if holds]
+    return [feature for feature, present in inexact.items() if present]
 
 
-def _meets(world: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
-    """Whether sphere i meets another object or holds the eye."""
-    center, radius = _points(world.balls.center), np.asarray(world.balls.radius)
-    others = np.arange(world.spheres) != i
-    from_planes = np.sum((_points(world.flats.point) - center[i]) * _points(world.flats.normal), 1)
+def _meets(tables: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
+    """Tells whether sphere i meets another object or contains the eye."""
+    center, radius = _points(tables.spheres.center), np.asarray(tables.spheres.radius)
+    others = np.arange(tables.sphere_count) != i
+    from_planes = np.sum(
+        (_points(tables.planes.point) - center[i]) * _points(tables.planes.normal), 1
+    )
     return bool(
         np.linalg.norm(eye - center[i]) < radius[i]
         or (np.abs(from_planes) < radius[i]).any()
@@ -174,6 +180,7 @@ def _meets(world: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
 
 
 def _settings(scene: Scene, bounces: int) -> list[str]:
+    """Returns the global settings."""
     lights = np.asarray(scene.lights.color)
     ambient = lights.mean(axis=0) if len(lights) else np.zeros(3, scene.dtype)
     return [
@@ -189,6 +196,7 @@ def _settings(scene: Scene, bounces: int) -> list[str]:
 
 
 def _camera(camera: Camera) -> list[str]:
+    """Returns the camera, whose window has the height of the picture."""
     frame = view_frame(camera)
     axes = (frame.eye, frame.right, frame.up, frame.forward)
     eye, right, up, forward = (_vector(_points(v)) for v in axes)
@@ -205,6 +213,7 @@ def _camera(camera: Camera) -> list[str]:
 
 
 def _background(scene: Scene) -> list[str]:
+    """Returns the background or the sky, after the macro that wraps bitmaps around spheres."""
     textures = [scene.textures[k - 1] for k in scene.spheres.pic if k]
     wrapped = [_WRAPPED] if textures or scene.sky is not None else []
     if scene.sky is None:
@@ -214,6 +223,7 @@ def _background(scene: Scene) -> list[str]:
 
 
 def _image(name: str, texture: Texture) -> str:
+    """Declares a function that looks up a texture's file."""
     if not texture.file:
         raise SceneError("a texture is in no file: write it with write_image and name that file")
     ending = Path(texture.file).suffix.lower()
@@ -229,7 +239,7 @@ def _image(name: str, texture: Texture) -> str:
 
 
 def _wrapped(name: str, texture: Texture, color: np.ndarray, kt: _Number) -> str:
-    """The pigment of a bitmap in POV-Ray's words; z of ours is POV-Ray's y there."""
+    """Returns the pigment of a bitmap around a sphere; its y is the scene's z."""
     image = np.asarray(texture.image)
     steepest = 1 / np.tan(np.pi / 2 / image.shape[0])
     peak = max(1.0, float(image.max()))
@@ -239,6 +249,7 @@ def _wrapped(name: str, texture: Texture, color: np.ndarray, kt: _Number) -> str
 def _finish(
     ka: _Number, kd: _Number, ks: _Number, exponent: _Number, kgr: _Number, highlight: Highlight
 ) -> str:
+    """Returns the finish of a surface: its coefficients and its highlight."""
     words = [f"ambient {_number(ka)} diffuse {_number(kd)}"]
     if ks:
         if exponent == 0:
@@ -254,6 +265,7 @@ def _finish(
 
 
 def _spheres(scene: Scene, eye: np.ndarray, highlight: Highlight) -> list[str]:
+    """Returns the spheres, a line each, or three lines if transparent."""
     s: Spheres = scene.spheres
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
     lines = []
@@ -263,30 +275,31 @@ def _spheres(scene: Scene, eye: np.ndarray, highlight: Highlight) -> list[str]:
         # POV-Ray dims ambient and diffuse light by 1 - kt, but not highlights and reflections
         finish = _finish(ka / (1 - kt), kd / (1 - kt), ks, exponent, kgr, highlight)
         if pic:
-            pigment = f"{_wrapped(f'Image{pic}', scene.textures[pic - 1], color, kt)}"
+            pigment = _wrapped(f"Image{pic}", scene.textures[pic - 1], color, kt)
             pigment += f" translate {_vector(center)}"
         else:
             pigment = f"rgbt {_vector([*color, kt])}" if kt else f"rgb {_vector(color)}"
-        ball = f"{_vector(center)}, {_number(radius)}"
+        shape = f"{_vector(center)}, {_number(radius)}"
         surface = f"pigment {{ {pigment} }} {finish}"
         if not kt:
-            lines.append(f"sphere {{ {ball} {surface} }}")
+            lines.append(f"sphere {{ {shape} {surface} }}")
             continue
         inside = np.linalg.norm(center - eye) < radius
         if inside:
             far_wall = f"interior_texture {{ {surface} }}"
         else:
             far_wall = "interior_texture { pigment { rgbt 1 } finish { ambient 0 diffuse 0 } }"
-        seen = f"texture {{ {surface} }} {far_wall} interior {{ ior 1 }}"
+        visible = f"texture {{ {surface} }} {far_wall} interior {{ ior 1 }}"
         lines += [
             "// transparent: the far wall is not seen, and another sphere casts the full shadow",
-            f"sphere {{ {ball} {seen} no_shadow }}",
-            f"sphere {{ {ball} pigment {{ rgb 0 }} no_image no_reflection }}",
+            f"sphere {{ {shape} {visible} no_shadow }}",
+            f"sphere {{ {shape} pigment {{ rgb 0 }} no_image no_reflection }}",
         ]
     return lines
 
 
 def _planes(planes: Planes, highlight: Highlight) -> list[str]:
+    """Returns the planes, a line each."""
     p = planes
     columns = (p.point, p.normal, p.color, p.ka, p.kd, p.ks, p.exponent, p.kgr)
     lines = []
@@ -302,6 +315,7 @@ def _planes(planes: Planes, highlight: Highlight) -> list[str]:
 
 
 def _plane(point: np.ndarray, normal: np.ndarray, pigment: str, finish: str) -> str:
+    """Returns one plane."""
     point, normal = np.asarray(point, np.float64), np.asarray(normal, np.float64)
     normal = normal / np.linalg.norm(normal)
     height = _number(np.dot(point, normal))
@@ -309,9 +323,10 @@ def _plane(point: np.ndarray, normal: np.ndarray, pigment: str, finish: str) -> 
 
 
 def _squares(point: np.ndarray, normal: np.ndarray, size: _Number) -> str:
-    """The matrix that lays POV-Ray's cubes of side 1 into a plane; see `texture.other_square`.
+    """Returns the matrix that lays POV-Ray's cubes of side 1 into a plane.
 
-    The plane cuts the cubes in their middle, as on their faces rounding would choose the colour.
+    Squares are those of `Planes`. The plane cuts the cubes in their middle, as on their faces
+    rounding would choose the colour.
     """
     n = np.asarray(normal, np.float64) / np.linalg.norm(normal.astype(np.float64))
     x, y, z = np.abs(n)
@@ -324,6 +339,7 @@ def _squares(point: np.ndarray, normal: np.ndarray, size: _Number) -> str:
 
 
 def _back_plane(scene: Scene) -> list[str]:
+    """Returns the back plane, if the scene has one."""
     back = scene.back_plane
     if back is None:
         return []

@@ -1,4 +1,4 @@
-"""The lecture's scene file, read and written.
+"""Scene text: the lecture's scene file, read and written.
 
 The grammar, with `//` comments to the end of the line and any white space between words:
 
@@ -12,22 +12,23 @@ The grammar, with `//` comments to the end of the line and any white space betwe
 and, in any order, lines that start with a keyword:
 
     texture FILE                          a picture; `pic` 1, 2, ... name them in their order
-    background R G B                      the colour that rays see that leave the world
-    background_image FILE                 a picture all around in its place: the starry sky
+    background R G B                      the colour seen by rays that meet nothing
+    background_image FILE                 a picture around the scene in its place: the starry sky
     back_plane R G B ka kd                the view plane made visible
     plane px py pz nx ny nz R G B ka kd ks specExp kgr [checker R G B size]
                                           a plane through p with normal n, any number of them
     window HEIGHT                         of the window on the view plane, 512 by default
 
 Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp >= 0, radius,
-HEIGHT and size > 0, the normal not 0. FILE is relative to the scene file; one with spaces stands
+HEIGHT and size > 0, the normal not 0. FILE is relative to the scene file; a name with spaces stands
 in double quotes. Every lecture file is valid: the first six numbers may stand on one line or many,
-lights and spheres have a line each.
+and each light and sphere has one line.
 """
 
 import os
 import warnings
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unicodedata import category
@@ -36,7 +37,13 @@ import jax
 import numpy as np
 
 from ..base.errors import InputError, PictureError, SceneError, SceneWarning, printable
-from ..scene.scene import BackPlane, Camera, Lights, Planes, Scene, Spheres, Texture, precision
+from ..scene.arrays import precision
+from ..scene.camera import Camera
+from ..scene.lights import Lights
+from ..scene.planes import BackPlane, Planes
+from ..scene.scene import Scene
+from ..scene.spheres import Spheres
+from ..scene.texture import Texture
 from .atomic import write_text
 from .tokens import Token, Tokens, decode
 
@@ -56,25 +63,25 @@ def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
     **Raises:** `SceneError`, with `file:line:column: what was expected, what stands there`.
     **Warns:** `SceneWarning` where ka + kd > 1, which the lecture rules out.
     """
-    dtype = _floating(dtype)
+    dtype = _dtype(dtype)
     name = os.fspath(path)
     try:
         data = Path(path).read_bytes()
     except OSError as error:
         raise SceneError(f"{name}: cannot read the scene: {error.strerror}") from None
-    parts = _Reader(name, decode(name, data), dtype).read()
-    for message in parts.warnings:
+    reader = _Reader(name, decode(name, data), dtype).read()
+    for message in reader.warnings:
         warnings.warn(message, SceneWarning, stacklevel=2)
-    return _build(parts, Path(path).parent, dtype)
+    return _build(reader, Path(path).parent, dtype)
 
 
 def save_scene(path: str | os.PathLike, scene: Scene) -> None:
-    """Writes a scene file, whole or not at all; reading it in the same dtype gives the same scene.
+    """Writes a scene file atomically; reading the file in the same dtype gives the same scene.
 
-    (Only the checker colour of a plane without squares, which nothing shows, is not kept.)
+    (Only the checker colour of a plane without squares, which no picture shows, is lost.)
 
-    **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan) and
-    for textures that are in no file; `InputError` for arrays that are neither float32 nor float64;
+    **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan), and
+    for textures that are in no file. `InputError` for arrays that are neither float32 nor float64.
     `OSError` if the file cannot be written.
     """
     scene.check_dtype()
@@ -87,7 +94,7 @@ def save_scene(path: str | os.PathLike, scene: Scene) -> None:
 
 
 def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
-    """The text of a scene file that lies in `folder`: shortest numbers that read back exactly."""
+    """Returns the text of a scene file in `folder`, with the shortest numbers that read exactly."""
     s, c, planes = scene.spheres, scene.camera, scene.planes
     lines = [
         f"{_words(c.theta, c.phi, c.mu, c.distance)} // theta phi mu distance",
@@ -103,11 +110,11 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
     for *row, pic in zip(*(np.asarray(x) for x in columns), s.pic, strict=True):
         lines.append(f"{_words(*row)} {pic}")
-    lines += [f"texture {_file(t, folder)}" for t in scene.textures]
+    lines += [f"texture {_file_name(t, folder)}" for t in scene.textures]
     if (words := _words(scene.background)) != "0.0 0.0 0.0":
         lines.append(f"background {words}")
     if scene.sky is not None:
-        lines.append(f"background_image {_file(scene.sky, folder)}")
+        lines.append(f"background_image {_file_name(scene.sky, folder)}")
     if (back := scene.back_plane) is not None:
         lines.append(f"back_plane {_words(back.color, back.ka, back.kd)}")
     columns = (planes.point, planes.normal, planes.color, planes.ka, planes.kd, planes.ks)
@@ -121,10 +128,12 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
 
 
 def _words(*values: Any) -> str:
+    """Returns all numbers of the values, with spaces between them."""
     return " ".join(str(x) for value in values for x in np.asarray(value).reshape(-1))
 
 
-def _file(texture: Texture, folder: str | os.PathLike) -> str:
+def _file_name(texture: Texture, folder: str | os.PathLike) -> str:
+    """Returns a texture's file name relative to a folder, quoted if it has spaces."""
     if not texture.file:
         raise SceneError("a texture is in no file: write it with write_image and name that file")
     name = Path(os.path.relpath(texture.file, folder)).as_posix()
@@ -135,7 +144,8 @@ def _file(texture: Texture, folder: str | os.PathLike) -> str:
     return f'"{name}"' if any(c.isspace() for c in name) else name
 
 
-def _floating(dtype: Any) -> np.dtype:
+def _dtype(dtype: Any) -> np.dtype:
+    """Returns a scene's dtype, by default JAX's. **Raises:** `InputError`."""
     default = jax.dtypes.canonicalize_dtype(float)
     chosen = precision(default if dtype is None else dtype)
     if chosen == np.float64 and default != np.float64:
@@ -146,7 +156,7 @@ def _floating(dtype: Any) -> np.dtype:
 
 
 class _Reader:
-    """Reads the parts of a scene, each checked and still without the textures' pixels."""
+    """The tables of a scene file, each number checked, without the textures' pixels."""
 
     def __init__(self, name: str, text: str, dtype: np.dtype):
         self.tokens = Tokens(name, text, dtype)
@@ -159,8 +169,9 @@ class _Reader:
         self.pics: list[tuple[Token, int]] = []
         self.warnings: list[str] = []
 
-    @np.errstate(over="ignore")  # what is too large for float32 becomes inf, and is refused
+    @np.errstate(over="ignore")  # numbers too large for float32 become inf, and are refused
     def read(self) -> "_Reader":
+        """Reads the whole file. **Returns:** self."""
         tokens = self.tokens
         if not tokens.peek.text:
             tokens.fail(tokens.peek, "expected a scene, starting with theta, got an empty file")
@@ -182,7 +193,7 @@ class _Reader:
         return self
 
     def _rows(self, count_name: str, row: str, counts: tuple[int, ...]) -> Iterator[list[Token]]:
-        """The tokens of as many rows as a count promises."""
+        """Yields the tokens of each row, as many rows as a count says."""
         tokens = self.tokens
         token = tokens.take()
         count = tokens.count(token, count_name)
@@ -203,9 +214,9 @@ class _Reader:
         values = self._values(row[:-1], _SPHERE)
         total = values[7] + values[8]
         if total > 1 + 1e-6:
-            place = f"{self.tokens.name}:{row[7].line}:{row[7].column}"
+            position = f"{self.tokens.name}:{row[7].line}:{row[7].column}"
             self.warnings.append(
-                f"{place}: ka + kd is {total:.6g}, the lecture's rule is at most 1"
+                f"{position}: ka + kd is {total:.6g}, the lecture's rule is at most 1"
             )
         self.pics.append((row[-1], self.tokens.count(row[-1], "pic")))
         return values
@@ -275,7 +286,7 @@ class _Reader:
     def _window(self, row: list[Token]) -> None:
         (self.window,) = self._values(row, ("HEIGHT",))
 
-    # keyword: how many columns may follow it, and what reads them
+    # the grammar of the keywords: the possible numbers of columns, and the method that reads them
     _KEYWORDS = {  # noqa: RUF012
         "texture": ((1,), _texture),
         "background": ((3,), _background),
@@ -286,31 +297,20 @@ class _Reader:
     }
 
 
-def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
+def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
+    """Builds the scene of the reader, and reads its textures from the files."""
+
     def table(rows: list[list[float]], columns: int) -> np.ndarray:
         return np.asarray(rows, dtype).reshape(len(rows), columns)
 
-    def texture(place: tuple[Token, str]) -> Texture:
-        from .images import read_image
-
-        token, name = place
-        file = os.path.abspath(folder / name)
-        try:
-            image = read_image(file)
-            if not np.isfinite(image).all():
-                raise PictureError("it holds numbers that are nan or inf")
-            return Texture(image, file)
-        except PictureError as error:
-            reason = str(error).removeprefix(f"{file}: ")
-            parts.tokens.fail(token, f"expected a picture, got {printable(name)}: {reason}")
-
-    spheres, lights = table(parts.spheres, 13), table(parts.lights, 6)
-    planes, back = table(parts.planes, 18), parts.back_plane
-    pics = [pic for _, pic in parts.pics]
+    spheres, lights = table(reader.spheres, 13), table(reader.lights, 6)
+    planes, back = table(reader.planes, 18), reader.back_plane
+    pics = [pic for _, pic in reader.pics]
+    texture = partial(_read_texture, reader.tokens, folder)
     return Scene(
         Spheres(spheres[:, :3], spheres[:, 3], spheres[:, 4:7], *spheres[:, 7:].T, pic=pics),
         Lights(lights[:, :3], lights[:, 3:]),
-        Camera(*(np.asarray(value, dtype) for value in (*parts.view, parts.window))),
+        Camera(*(np.asarray(value, dtype) for value in (*reader.view, reader.window))),
         Planes(
             planes[:, :3],
             planes[:, 3:6],
@@ -319,11 +319,26 @@ def _build(parts: _Reader, folder: Path, dtype: np.dtype) -> Scene:
             checker_color=planes[:, 14:17],
             checker_size=planes[:, 17],
         ),
-        textures=[texture(place) for place in parts.files],
-        background=np.asarray(parts.background, dtype),
-        sky=None if parts.sky is None else texture(parts.sky),
+        textures=[texture(*file) for file in reader.files],
+        background=np.asarray(reader.background, dtype),
+        sky=None if reader.sky is None else texture(*reader.sky),
         back_plane=None
         if back is None
         else BackPlane(np.asarray(back[:3], dtype), *table([back], 5)[0, 3:]),
-        antialias=parts.antialias,
+        antialias=reader.antialias,
     )
+
+
+def _read_texture(tokens: Tokens, folder: Path, token: Token, name: str) -> Texture:
+    """Reads the texture that `token` names. **Raises:** `SceneError` at the token."""
+    from .images import read_image
+
+    file = os.path.abspath(folder / name)
+    try:
+        image = read_image(file)
+        if not np.isfinite(image).all():
+            raise PictureError("it holds numbers that are nan or inf")
+        return Texture(image, file)
+    except PictureError as error:
+        reason = str(error).removeprefix(f"{file}: ")
+        tokens.fail(token, f"expected a picture, got {printable(name)}: {reason}")

@@ -1,4 +1,4 @@
-"""Words of a text file that know where they stand, and numbers in ranges."""
+"""Tokens: the words of a text file with their positions, and numbers in ranges."""
 
 import re
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
 
 class Token:
-    """A word of a file: its text, line and column, both from 1."""
+    """A word of a file, with its line and column, both from 1."""
 
     __slots__ = ("column", "line", "text")
 
@@ -34,12 +34,12 @@ class Token:
 
 
 class Tokens:
-    """The words of a text, one at a time; `//` starts a comment that ends with its line."""
+    """The words of a text, one by one; `//` starts a comment up to the end of the line."""
 
     def __init__(self, name: str, text: str, dtype: np.dtype):
         self.name, self.dtype = name, dtype
         self._words = self._scan(text)
-        self.peek = next(self._words)  # the next token; of empty text at the end of the file
+        self.peek = next(self._words)  # the next token; its text is empty at the end of the file
         self.last = Token("", 1, 1)  # the latest token taken
 
     @staticmethod
@@ -54,31 +54,34 @@ class Tokens:
             yield Token("", line, len(text) - start + 1)
 
     def take(self) -> Token:
+        """Takes the next token."""
         self.last, self.peek = self.peek, next(self._words)
         return self.last
 
     def fail(self, token: Token, message: str) -> NoReturn:
-        """**Raises:** `SceneError` with the place of `token`."""
+        """Fails at a token. **Raises:** `SceneError` with the position of `token`."""
         raise SceneError(f"{self.name}:{token.line}:{token.column}: {message}")
 
     @property
     def line_ends(self) -> bool:
-        """Whether the latest token is the last one of its line."""
+        """Tells whether the latest token is the last one of its line."""
         return not self.peek.text or self.peek.line != self.last.line
 
-    def end_line(self, what: str) -> None:
-        """Expects the end of the line after `what`."""
+    def end_line(self, row: str) -> None:
+        """Expects the end of the line after a `row`. **Raises:** `SceneError` otherwise."""
         if not self.line_ends:
-            self.fail(self.peek, f"expected the end of the line after {what}, got {self.peek}")
+            self.fail(self.peek, f"expected the end of the line after {row}, got {self.peek}")
 
     def rest(self, counts: tuple[int, ...], row: str, had: int = 0) -> list[Token]:
-        """The tokens that are left of the present line.
+        """Takes the remaining tokens of the line.
 
-        **Arguments:** `counts`: how many columns the `row` may have in all. `had`: how many of
-        them were taken before.
+        **Arguments:** `counts`: the possible numbers of columns of the `row`. `had`: the number of
+        columns taken before.
+
+        **Raises:** `SceneError` for other numbers of columns.
         """
-        tokens, room = [], max(counts) - had
-        while len(tokens) < room and not self.line_ends:
+        tokens, most = [], max(counts) - had
+        while len(tokens) < most and not self.line_ends:
             tokens.append(self.take())
         self.end_line(row)
         if had + len(tokens) not in counts:
@@ -87,37 +90,39 @@ class Tokens:
             self.fail(end, f"expected {wanted} for {row}, got {had + len(tokens)}")
         return tokens
 
-    def number(self, token: Token, what: str) -> float:
-        """The finite number that `token` spells, rounded to the file's dtype."""
+    def number(self, token: Token, name: str) -> float:
+        """Reads a finite number, rounded to the file's dtype. **Raises:** `SceneError`."""
         if len(token.text) > 400 or not _NUMBER.fullmatch(token.text):
-            self.fail(token, f"expected {what}, a number, got {token}")
+            self.fail(token, f"expected {name}, a number, got {token}")
         value = float(self.dtype.type(float(token.text)))
         if not isfinite(value):
-            self.fail(token, f"{what} must be finite in {self.dtype}, got {token}")
+            self.fail(token, f"{name} must be finite in {self.dtype}, got {token}")
         return value
 
-    def between(self, token: Token, what: str, low: float | int, high: float | int) -> float:
-        value = self.number(token, what)
+    def between(self, token: Token, name: str, low: float | int, high: float | int) -> float:
+        """Reads a number from `low` to `high`. **Raises:** `SceneError`."""
+        value = self.number(token, name)
         if not low <= value <= high:
             limits = f"at least {low:g}" if high == np.inf else f"in {low:g}..{high:g}"
-            self.fail(token, f"{what} must be {limits}, got {token}")
+            self.fail(token, f"{name} must be {limits}, got {token}")
         return value
 
-    def positive(self, token: Token, what: str) -> float:
-        value = self.number(token, what)
+    def positive(self, token: Token, name: str) -> float:
+        """Reads a number above 0. **Raises:** `SceneError`."""
+        value = self.number(token, name)
         if not value > 0:
-            self.fail(token, f"{what} must be greater than 0, got {token}")
+            self.fail(token, f"{name} must be greater than 0, got {token}")
         return value
 
-    def count(self, token: Token, what: str) -> int:
-        """A whole number from 0."""
+    def count(self, token: Token, name: str) -> int:
+        """Reads a whole number from 0. **Raises:** `SceneError`."""
         if not _COUNT.fullmatch(token.text):
-            self.fail(token, f"expected {what}, a whole number from 0, got {token}")
+            self.fail(token, f"expected {name}, a whole number from 0, got {token}")
         return int(token.text)
 
 
 def decode(name: str, data: bytes) -> str:
-    """The text of a file; comments may be in Latin-1. **Raises:** `SceneError` for binary data."""
+    """Decodes a file; comments may be in Latin-1. **Raises:** `SceneError` for binary data."""
     control = _CONTROL.search(data)
     if control:
         line = data.count(b"\n", 0, control.start()) + 1

@@ -1,1 +1,1 @@
-"""What a scene is, how its picture is seen, and what that picture needs computed."""
+"""Scenes: objects, lights and camera, the settings of a picture, and what the picture needs."""

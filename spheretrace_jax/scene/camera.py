@@ -1,11 +1,36 @@
-"""The lecture's view transform: an eye on a sphere around the origin, rays through the window."""
+"""`Camera` and the lecture's view transform: rays from an eye, which looks at the origin."""
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import ArrayLike
 
-from ..base.types import PixelArray
-from ..base.vec import Vec, to_order_one, unit
-from .scene import Camera
+from ..base.safe_math import to_order_one
+from ..base.types import PixelArray, Scalar
+from ..base.vec import Vec, unit
+from .arrays import floats
+
+
+class Camera(eqx.Module):
+    """The lecture's view: the eye on a sphere around the origin, looking at the origin."""
+
+    theta: Scalar  #: azimuth of the eye, radians; differentiable, moves edges
+    phi: Scalar  #: polar angle of the eye from +z, radians; differentiable, moves edges
+    mu: Scalar  #: distance from the origin to the eye, world units; differentiable, moves edges
+    distance: Scalar  #: from eye to view plane, world units; differentiable, moves edges
+    window: Scalar  #: height of the window on the view plane, world units; differentiable
+
+    def __init__(
+        self,
+        theta: ArrayLike = 0.0,
+        phi: ArrayLike = 0.0,
+        mu: ArrayLike = 500.0,
+        distance: ArrayLike = 800.0,
+        window: ArrayLike = 512.0,
+    ):
+        """Builds a camera. **Arguments:** as the fields."""
+        self.theta, self.phi, self.mu, self.distance, self.window = floats(
+            theta, phi, mu, distance, window
+        )
 
 
 class Ray(eqx.Module):
@@ -16,7 +41,7 @@ class Ray(eqx.Module):
 
 
 class Frame(eqx.Module):
-    """The camera's axes: unit vectors of scalars, and where the eye is."""
+    """The camera's position and axes: unit vectors of scalars."""
 
     eye: Vec
     right: Vec
@@ -25,12 +50,12 @@ class Frame(eqx.Module):
 
 
 def view_frame(camera: Camera) -> Frame:
-    """Where the eye is and which way is right, up and forward.
+    """Computes the eye's position and the axes of the view, in world coordinates.
 
-    The eye is at polar angle phi and azimuth theta on the sphere of radius mu around the origin
-    and looks at the origin; the axes come from the angles alone, so mu = 0 is no special case.
+    The eye is at polar angle phi and azimuth theta on the sphere of radius mu around the origin,
+    and looks at the origin. The axes depend on the angles alone, so mu = 0 is no special case.
 
-    **Returns:** orthonormal `right`, `up`, `forward` and `eye`, world coordinates.
+    **Returns:** the position `eye`, and orthonormal `right`, `up` and `forward`.
     """
     st, ct = jnp.sin(camera.theta), jnp.cos(camera.theta)
     sp, cp = jnp.sin(camera.phi), jnp.cos(camera.phi)
@@ -44,7 +69,7 @@ def view_frame(camera: Camera) -> Frame:
 
 
 def pixel_rays(camera: Camera, columns: PixelArray, rows: PixelArray, size: tuple[int, int]) -> Ray:
-    """The rays through points of the window.
+    """Returns the rays through points of the window, from the eye.
 
     Column i and row j of a picture `height` pixels high have their centre at
     x = (i + 1/2 - width/2) pitch along right, y = -(j + 1/2 - height/2) pitch along up, with
@@ -54,22 +79,22 @@ def pixel_rays(camera: Camera, columns: PixelArray, rows: PixelArray, size: tupl
     (pixel i's centre is at i + 1/2), of shapes that broadcast: `(1, width)` and `(rows, 1)` for a
     whole picture. `size`: the picture's (width, height) in pixels.
 
-    **Returns:** rays from the eye, with a direction for each position.
+    **Returns:** rays with one origin, and a direction of unit length for each position.
     """
     return unit_ray(unnormalized_rays(camera, columns, rows, size))
 
 
 def unit_ray(ray: Ray) -> Ray:
-    """The ray with a direction of unit length."""
+    """Returns the ray with a direction of unit length."""
     return Ray(ray.origin, unit(ray.direction))
 
 
 def unnormalized_rays(
     camera: Camera, columns: PixelArray, rows: PixelArray, size: tuple[int, int]
 ) -> Ray:
-    """`pixel_rays` with directions of any length."""
+    """Returns the rays of `pixel_rays`, with directions of any length."""
     frame = view_frame(camera)
-    # only their ratio matters
+    # only the ratio of window and distance matters
     scale = to_order_one(camera.window, camera.distance)
     distance, pitch = camera.distance * scale, camera.window * scale / size[1]
     x = (columns - size[0] / 2) * pitch

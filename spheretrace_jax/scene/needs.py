@@ -1,8 +1,8 @@
-"""`Needs`: what a scene needs computed, and what is left out and why.
+"""`Needs`: the features that a scene's picture needs computed, and the reasons.
 
-A picture is compiled for the needs of its scene and nothing else: no shadow pass for one sphere,
-no reflection without a mirror. The needs are static, so two scenes with the same needs and shapes
-share one compiled function.
+A picture is compiled for the needs of its scene alone: no shadow pass for one sphere, no reflection
+without a mirror. The needs are static, so two scenes with the same needs and shapes share one
+compiled function.
 """
 
 import dataclasses
@@ -11,6 +11,7 @@ from collections.abc import Iterable
 import jax
 import jax.core
 import numpy as np
+from jaxtyping import Array, Bool
 
 from ..base.errors import InputError
 from ..base.types import Index
@@ -21,44 +22,44 @@ from .scene import Scene
 
 @dataclasses.dataclass(frozen=True)
 class Needs:
-    """What to compute, as static flags: hashable, comparable, a constant of compilation."""
+    """Features to compute, as static flags: hashable, comparable, a constant of compilation."""
 
-    shadows: bool = True  #: some object may stand between another and a light
-    highlights: bool = True  #: some ks is not 0
+    shadows: bool = True  #: an object may stand between another and a light
+    highlights: bool = True  #: a ks is not 0
     inside: bool = True  #: a ray may start inside a sphere
-    reflection: bool = True  #: some kgr is not 0
-    transmission: bool = True  #: some kt is not 0
-    branching: bool = True  #: some object both reflects and transmits
+    reflection: bool = True  #: a kgr is not 0
+    transmission: bool = True  #: a kt is not 0
+    branching: bool = True  #: an object both reflects and transmits
     dark_paths: bool = True  #: follow mirrors and bubbles whose kgr or kt is 0 (for derivatives)
-    textures: bool = True  #: some sphere wears a texture
-    planes: bool = True  #: there are planes, the back plane included
-    checkers: bool = True  #: some plane has a checker
+    textures: bool = True  #: a sphere has a texture
+    planes: bool = True  #: the scene has planes, the back plane included
+    checkers: bool = True  #: a plane has a checker
     background: bool = True  #: the background is not black
-    crossings: bool = True  #: objects may cut one another (an edge, where edges are covered)
-    tinted: bool = True  #: some light's red, green and blue differ
-    colors: bool = True  #: anything's red, green and blue differ
-    clear: tuple[int, ...] = ()  #: the lights whose way to every object is free: no shadow pass
-    depth: int | None = None  #: after how many bounces no ray meets anything; None: no limit
+    crossings: bool = True  #: objects may cross (an edge, where edges are covered)
+    tinted: bool = True  #: a light's red, green and blue differ
+    colors: bool = True  #: red, green and blue of a light or a colour differ
+    clear: tuple[int, ...] = ()  #: lights that no object can block: no shadow pass
+    depth: int | None = None  #: bounces after which no ray meets an object; None: no limit
 
     def shadows_of(self, light: Index) -> bool:
-        """Whether objects may stand in a light's way; in any's, if its number is not known yet."""
+        """Tells whether objects may block a light: any light, while its number is not known."""
         return self.shadows and not (isinstance(light, int) and light in self.clear)
 
     @property
     def bounces(self) -> bool:
-        """Whether rays go on after the first hit."""
+        """Tells whether rays go on after the first hit."""
         return self.reflection or self.transmission
 
 
 def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
-    """What `scene` needs computed.
+    """Finds the features that the picture of a scene needs computed.
 
     **Arguments:** `scene`: a scene of concrete numbers. `free`: names of parameters that will be
-    changed or differentiated later (`"ks"`, `"kgr"`, `"kt"`, `"center"`, ...): what they could
-    switch on is then needed, even where their present value is 0. A derivative with respect to
-    `ks`, `kgr` or `kt` at 0 is right only if they are declared so.
+    changed or differentiated later (`"ks"`, `"kgr"`, `"kt"`, `"center"`, ...). Features that free
+    parameters could switch on are needed, even where the present value of a parameter is 0. A
+    derivative with respect to `ks`, `kgr` or `kt` at 0 is right only if the parameter is in `free`.
 
-    **Returns:** the needs, to pass to `render(..., needs=...)`, also under jit, grad and vmap.
+    **Returns:** needs to pass to `render(..., needs=...)`, also under jit, grad and vmap.
 
     **Raises:** `InputError` for unknown names in `free`, for dtypes that no scene may have, and
     under a trace, where the numbers are not known.
@@ -72,14 +73,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
     free = parameter_names(free)
     spheres, planes = scene.spheres, scene.planes
 
-    def some(name: str) -> np.ndarray:
-        """Per object, whether it may have a `name` other than 0."""
-        value = np.asarray(getattr(spheres, name))
-        if hasattr(planes, name):
-            value = np.concatenate([value, np.asarray(getattr(planes, name))])
-        return np.full(value.shape, True) if name in free else value != 0
-
-    kgr, kt = some("kgr"), some("kt")
+    ks, kgr, kt = (_nonzero(scene, name, free) for name in ("ks", "kgr", "kt"))
     objects, lights = scene.objects, len(scene.lights)
     moving = free & {"center", "radius", "theta", "phi", "mu"}
     inside = bool(kt.any() or (len(spheres) and (moving or feature_tests.eye_inside(scene))))
@@ -90,17 +84,15 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
     )
     textures, checkers = any(spheres.pic), bool(np.asarray(planes.checker_size).any())
     tinted = "light_color" in free or feature_tests.any_colored(scene.lights.color)
-    back = () if scene.back_plane is None else (scene.back_plane.color,)
-    plain = (spheres.color, planes.color, planes.checker_color, scene.background, *back)
-    pictures = textures or scene.sky is not None
     colors = (
-        pictures
+        textures
+        or scene.sky is not None
         or free & {"color", "checker_color", "background"}
-        or feature_tests.any_colored(*plain)
+        or feature_tests.any_colored(*_colors(scene))
     )
     return Needs(
         shadows=lights > len(clear) and (objects > 1 or inside),
-        highlights=lights > 0 and bool(some("ks").any()),
+        highlights=lights > 0 and bool(ks.any()),
         inside=inside,
         reflection=bool(kgr.any()),
         transmission=bool(kt.any()),
@@ -114,17 +106,32 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         tinted=tinted,
         colors=tinted or bool(colors),
         clear=clear if len(clear) < lights else (),
-        # the only object is convex: what it mirrors is the sky
+        # the only object is convex: its mirrored rays see the sky
         depth=None if objects > 1 or inside else int(background),
     )
 
 
+def _nonzero(scene: Scene, name: str, free: frozenset[str]) -> Bool[np.ndarray, " objects"]:
+    """Tells for each object whether its coefficient `name` may be other than 0."""
+    value = np.asarray(getattr(scene.spheres, name))
+    if hasattr(scene.planes, name):
+        value = np.concatenate([value, np.asarray(getattr(scene.planes, name))])
+    return np.full(value.shape, True) if name in free else value != 0
+
+
+def _colors(scene: Scene) -> tuple[Array, ...]:
+    """Returns the colours of all objects and of the background."""
+    spheres, planes, back_plane = scene.spheres, scene.planes, scene.back_plane
+    colors = (spheres.color, planes.color, planes.checker_color, scene.background)
+    return colors if back_plane is None else (*colors, back_plane.color)
+
+
 def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
-    """Each feature, whether `scene` needs it, and why (or why not): what `info` prints."""
-    n = needs(scene)
+    """Lists the features, with whether `scene` needs each of them and the reason: for `info`."""
+    needed = needs(scene)
     lit = len(scene.lights) > 0
-    clear = ", ".join(str(k + 1) for k in n.clear)
-    table = {
+    clear = ", ".join(str(k + 1) for k in needed.clear)
+    table = {  # feature: the reason if it is needed, the reason if it is not
         "shadows": (
             "an object may stand between another and a light"
             + (f"; not for light {clear}, whose way is free" if clear else ""),
@@ -133,7 +140,7 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
         "highlights": ("some ks > 0", "every ks is 0" if lit else "no lights"),
         "inside": ("the eye is in a sphere, or light passes one", "no ray starts inside a sphere"),
         "reflection": (
-            "some kgr > 0" + ("" if n.depth is None else "; the only object mirrors no other"),
+            "some kgr > 0" + ("" if needed.depth is None else "; the only object mirrors no other"),
             "every kgr is 0",
         ),
         "transmission": ("some kt > 0", "every kt is 0"),
@@ -150,5 +157,5 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
         "tinted": ("a light is coloured", "every light is white or grey"),
         "colors": ("something is coloured", "everything is white or grey: one channel"),
     }
-    found = dataclasses.asdict(n) | {"antialias": bool(scene.antialias)}
-    return [(name, found[name], why[not found[name]]) for name, why in table.items()]
+    flags = dataclasses.asdict(needed) | {"antialias": bool(scene.antialias)}
+    return [(name, flags[name], reasons[not flags[name]]) for name, reasons in table.items()]

@@ -1,6 +1,7 @@
-"""`Options`: what a picture is besides its scene, checked."""
+"""`RenderSettings`: the static arguments of a picture, checked."""
 
 import dataclasses
+from typing import get_args
 
 import equinox as eqx
 from jax.sharding import NamedSharding
@@ -8,17 +9,21 @@ from jaxtyping import Array, Float
 
 from ..base.errors import InputError
 from ..base.types import Highlight
-from ..tracing.shading import HIGHLIGHTS
 from ..xla.sharding import Rows, rows_of_device, rows_sharding
 from .needs import Needs, needs as needs_of
 from .scene import Scene
 
-#: More samples along a pixel's side, or more bounces where paths branch, would never end.
-MOST_SAMPLES, MOST_BRANCHINGS = 256, 16
+HIGHLIGHTS: tuple[Highlight, ...] = get_args(Highlight)
+
+#: Limit of the samples along a pixel's side. More would never end: time grows with the square.
+MOST_SAMPLES = 256
+
+#: Limit of the bounces where paths branch. More would never end: n bounces follow 2^n paths.
+MOST_BRANCHINGS = 16
 
 
 class RenderSettings(eqx.Module):
-    """What a picture is besides its scene: static, but for `box`."""
+    """The arguments of a picture besides its scene: static, except `box`."""
 
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
@@ -27,20 +32,19 @@ class RenderSettings(eqx.Module):
     samples: int = eqx.field(static=True)
     antialias: bool = eqx.field(static=True)
     needs: Needs = eqx.field(static=True)
-    rows: Rows = eqx.field(static=True)  #: which are computed: all but on one of several devices
-    sharding: NamedSharding | None = eqx.field(static=True)  #: how rows lie on several devices
-    #: how many pixels wide and high the boxes around pixels' centres are whose means are seen;
-    #: None for the pixels themselves
+    rows: Rows = eqx.field(static=True)  #: the rows computed: all, or those of one device
+    sharding: NamedSharding | None = eqx.field(static=True)  #: of the rows on several devices
+    #: width and height, in pixels, of the box filter around a pixel's centre; None: one pixel
     box: Float[Array, ""] | None = None
 
     @property
     def side(self) -> Float[Array, ""] | float:
-        """How wide and high the box of a sample is, in pixels."""
+        """Returns the width and height of a sample's box filter, in pixels."""
         return (1.0 if self.box is None else self.box) / self.samples
 
     @property
     def of_device(self) -> "RenderSettings":
-        """Those of each device's part of the picture."""
+        """Returns the settings of one device's rows of the picture."""
         assert self.sharding is not None
         rows = rows_of_device(self.height, self.sharding)
         return dataclasses.replace(self, rows=rows, sharding=None)
@@ -50,21 +54,27 @@ def render_settings(
     scene: Scene,
     width: int,
     height: int,
+    *,
     highlight: Highlight = "phong",
     bounces: int = 5,
     samples: int = 1,
     needs: Needs | None = None,
     sharding: NamedSharding | None = None,
 ) -> RenderSettings:
-    """Checks and completes the static arguments of `render`."""
+    """Checks and completes the static arguments of `render`.
+
+    **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights,
+    shardings that divide other axes than rows, and dtypes that no scene may have.
+    """
     scene.check_dtype()
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
         if value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")
     if not 1 <= samples <= MOST_SAMPLES:
         raise InputError(f"samples must be in 1..{MOST_SAMPLES}, got {samples}")
-    if highlight not in HIGHLIGHTS:
-        raise InputError(f"highlight must be one of {', '.join(HIGHLIGHTS)}, got {highlight!r}")
+    highlights = get_args(Highlight)
+    if highlight not in highlights:
+        raise InputError(f"highlight must be one of {', '.join(highlights)}, got {highlight!r}")
     needs = needs_of(scene) if needs is None else needs
     bounces = bounces if needs.bounces else 0
     if needs.depth is not None:

@@ -1,4 +1,7 @@
-"""What colour a point of an object has: the lecture's formula, its texture, the background."""
+"""Materials: the colour of a surface point by the lecture's formula, textures and the background.
+
+C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,31 +13,29 @@ from jax import lax
 
 from ..base.types import PixelArray
 from ..base.vec import Vec, grey, vec, where
-from ..scene.needs import Needs
 from ..scene.scene import Scene
-from .tables import Hit, SceneTables, Surface
+from .context import TraceContext
+from .hit import Hit, Surface
 from .texture import lookup, other_square, sphere_uv, worn
 
-#: Of more lights a loop is made rather than the same written out again.
+#: Up to this many lights are written out; more are a loop, which compiles in the time of one.
 MOST_LIGHTS = 4
+
+LightTerms = Callable[[Vec, bool], tuple[PixelArray, PixelArray]]
+"""From a light's position, and whether objects may stand in its way, to lit N.L and highlight."""
 
 
 def sum_lights(
-    scene: Scene,
-    shape: tuple[int, ...],
-    needs: Needs,
-    terms: Callable[[Vec, bool], tuple[PixelArray, PixelArray]],
-    most: int = MOST_LIGHTS,
+    context: TraceContext, shape: tuple[int, ...], terms: LightTerms, most: int = MOST_LIGHTS
 ) -> tuple[Vec, Vec]:
-    """Over all lights the sums of C_l lit_l (N.L_l) and of C_l lit_l highlight_l.
+    """Sums C_l lit_l (N.L_l) and C_l lit_l highlight_l over all lights.
 
-    **Arguments:** `terms`: lit N.L and lit highlight of `shape` for a light at a given position,
-    where objects may stand in its way or not. `most`: of more lights than these a loop is made.
+    **Arguments:** `shape`: of the terms. `most`: of more lights than these a loop is made.
     """
-    lights = scene.lights
+    lights, needs = context.scene.lights, context.needs
     # of white light one sum does for red, green and blue
     color_of = vec if needs.tinted else lambda color: color[0]
-    dark = jnp.zeros(shape, scene.dtype)
+    dark = jnp.zeros(shape, context.dtype)
     dark = grey(dark) if needs.tinted else dark
 
     def add_light(sums: tuple[Any, Any], light: tuple, shadows: bool) -> tuple[tuple, None]:
@@ -56,43 +57,34 @@ def sum_lights(
     return sums if needs.tinted else (grey(sums[0]), grey(sums[1]))
 
 
-def local_color(
-    scene: Scene,
-    world: SceneTables,
-    hit: Hit,
-    surface: Surface,
-    needs: Needs,
-    sums: tuple[Vec, Vec],
-) -> Vec:
-    """The lecture's C = ka A S + sum_l lit_l C_l (kd (N.L_l) S + ks highlight_l) at a hit.
+def local_color(context: TraceContext, hit: Hit, surface: Surface, sums: tuple[Vec, Vec]) -> Vec:
+    """Returns C = ka A S + sum_l lit_l C_l (kd (N.L_l) S + ks highlight_l) at a hit.
 
-    **Arguments:** `sums`: those of `light_sums`.
+    **Arguments:** `sums`: those of `sum_lights`.
     """
-    lights = scene.lights
-    ambient = vec(jnp.mean(lights.color, axis=0) if len(lights) else jnp.zeros(3, scene.dtype))
+    lights = context.scene.lights
+    ambient = vec(jnp.mean(lights.color, axis=0) if len(lights) else jnp.zeros(3, context.dtype))
     diffuse, shine = sums
-    color, ka, kd, ks = world.material(hit.id, lambda m: (m.color, m.ka, m.kd, m.ks))
-    color = surface_color(scene, world, hit, surface, color, needs)
+    color, ka, kd, ks = context.material(hit.id, lambda m: (m.color, m.ka, m.kd, m.ks))
+    color = surface_color(context, hit, surface, color)
     color = color * (ambient * ka + diffuse * kd)
-    return color + shine * ks if needs.highlights else color
+    return color + shine * ks if context.needs.highlights else color
 
 
-def surface_color(
-    scene: Scene, world: SceneTables, hit: Hit, surface: Surface, color: Vec, needs: Needs
-) -> Vec:
-    """S: the object's own colour, under its texture or checker."""
-    if needs.textures:
+def surface_color(context: TraceContext, hit: Hit, surface: Surface, color: Vec) -> Vec:
+    """Returns S: the object's own colour, under its texture or checker."""
+    if context.needs.textures:
         outward = where(hit.inside, -surface.normal, surface.normal)
-        images = tuple(t.image for t in scene.textures)
-        color = color * worn(hit.id, outward, images, scene.spheres.pic)
-    if needs.checkers:
-        other, checker_color = other_square(world, hit.id, surface.point)
+        images = tuple(t.image for t in context.scene.textures)
+        color = color * worn(hit.id, outward, images, context.scene.spheres.pic)
+    if context.needs.checkers:
+        other, checker_color = other_square(context.tables, hit.id, surface.point)
         color = where(other, checker_color, color)
     return color
 
 
 def background_color(scene: Scene, direction: Vec) -> Vec:
-    """What rays see that leave the world: the sky's picture all around, or one colour."""
+    """Returns the colour of rays that leave the world: the sky's picture, or one colour."""
     if scene.sky is not None:
         return lookup(scene.sky.image, *sphere_uv(direction))
     return vec(scene.background)

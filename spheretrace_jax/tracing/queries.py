@@ -1,4 +1,4 @@
-"""The discrete half of a picture: which object a ray meets, which lights a point sees.
+"""Ray queries, the discrete half of a picture: closest hits, and which lights a point sees.
 
 Integers and booleans only: nothing here has a derivative, and everything runs under
 `stop_gradient`. No epsilon: a ray that leaves a sphere never meets it from outside again (spheres
@@ -9,34 +9,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
+from ..acceleration.accelerator import Accelerator
 from ..acceleration.light_buffer import LightBuffer
+from ..base.safe_math import to_order_one
 from ..base.types import Ids, Index, Mask, PixelArray, Scalar
-from ..base.vec import Vec, cross, dot, parts, to_order_one
+from ..base.vec import Vec, parts
 from ..scene.camera import Ray
-from ..scene.needs import Needs
-from ..xla.barriers import compute_once
 from ..xla.gather import gather_rows
-from ..xla.loops import loop
 from ..xla.rematerialization import save_residuals
-from .intersect import perpendicular, ray_plane, ray_sphere
-from .tables import Hit, PlaneGeometry, SceneTables, SphereGeometry
+from .context import TraceContext
+from .hit import Hit, ShadowSegment, shadow_segment
+from .plane import Plane
+from .sphere import Sphere
 
 Best = tuple[PixelArray, Ids]
-"""How far the nearest object is, and its number."""
+"""The distance of the closest object so far, and its number."""
 
 Packed = Complex[Array, "*#pixels"]
 """The same two as one complex number."""
 
 
-def table_row(table, i):
-    """One object's row of a table, as scalars."""
-    return jax.tree.map(lambda column: column[i], table)
+def closest_hit(context: TraceContext, ray: Ray, source_hit: Hit | None = None) -> Hit:
+    """Finds the closest object in front of each ray's origin.
 
-
-def closest_hit(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | None = None) -> Hit:
-    """The nearest object in front of each ray's origin.
-
-    **Arguments:** `leaving`: the hit that the rays start from, None for rays from the eye. Rays
+    **Arguments:** `source_hit`: the hit that the rays start from, None for rays from the eye. Rays
     that leave the object outwards, or go straight on through it, skip it; rays that were mirrored
     on the inside of a sphere may meet that sphere again, from inside. Only the object just left is
     skipped: what reflects light inside a bubble sees the bubble's wall from inside.
@@ -44,98 +40,81 @@ def closest_hit(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | None 
     **Returns:** per pixel the number of the object, -1 for none. Of objects equally near, the
     first.
     """
-    world, ray, leaving = jax.lax.stop_gradient((world, ray, leaving))
-
-    def plane(i, best):
-        flat = table_row(world.flats, i)
-        t = ray_plane(ray.origin, ray.direction, flat.point, flat.normal)
-        number = i + world.spheres
-        return _nearer(best, t, None if leaving is None else leaving.id == number, number)
-
-    def phase():
-        best = _nearest_sphere(world, ray, needs, leaving)
-        if needs.planes:
-            best = loop(world.planes, plane, best)
-        return best[1].astype(world.id_type)
-
-    number = save_residuals(compute_once(phase, world.window))
-    return known_hit(world, ray, number, needs, leaving)
+    context, ray, source_hit = jax.lax.stop_gradient((context, ray, source_hit))
+    number = save_residuals(context.compute_once(lambda: _closest_object(context, ray, source_hit)))
+    return known_hit(context, ray, number, source_hit)
 
 
-def _nearest_sphere(world: SceneTables, ray: Ray, needs: Needs, leaving: Hit | None) -> Best:
-    dtype, shape, lists = ray.direction.x.dtype, ray.direction.x.shape, world.lists
-    best = jnp.full(shape, jnp.inf, dtype), jnp.full(shape, -1, jnp.int32)
-    in_strip = lists is not None and leaving is None and lists.screen_tiles.row is not None
-    if lists is None or (not in_strip and lists.uniform_grid is None):
+def _closest_object(context: TraceContext, ray: Ray, source_hit: Hit | None) -> Ids:
+    """Finds the numbers of the closest objects."""
+    inside, found = context.needs.inside, context.accelerator
+    shape = ray.direction.x.shape
+    best = jnp.full(shape, jnp.inf, context.dtype), jnp.full(shape, -1, jnp.int32)
 
-        def meet(i: Index, best: Best) -> Best:
-            ball = table_row(world.balls, i)
-            return _nearer(best, *_seen(ray, leaving, needs, ball.center, ball.radius, i), i)
+    def meet(object_: Sphere | Plane, number: Index, best: Best) -> Best:
+        return _closer(best, *_meet(object_, ray, source_hit, number, inside), number)
 
-        return loop(world.spheres, meet, best)
+    in_strip = found is not None and source_hit is None and found.screen_tiles.row is not None
+    if found is None or (not in_strip and found.uniform_grid is None):
+        best = context.fold(meet, best)
+    else:
+        best = _closest_listed_sphere(context, found, ray, source_hit, best)
+        best = context.fold(meet, best, spheres=False)
+    return best[1].astype(context.tables.id_type)
 
-    if leaving is not None:
-        leaving = Hit(leaving.id.astype(jnp.int32), leaving.inside)
+
+def _closest_listed_sphere(
+    context: TraceContext, found: Accelerator, ray: Ray, source_hit: Hit | None, best: Best
+) -> Best:
+    """Finds the closest spheres: from the eye by screen tiles, from elsewhere by the grid."""
+    shape, inside = ray.direction.x.shape, context.needs.inside
+    if source_hit is not None:
+        source_hit = Hit(source_hit.id.astype(jnp.int32), source_hit.inside)
 
     # the state packed: each array of it is computed by a loop of its own (4.5 against 2.2 ms)
-    def meet_listed(rays: tuple, center: Vec, radius: PixelArray, i: Ids, best: Packed) -> Packed:
-        direction, origin, leaving = rays
+    def visit(rays: tuple, center: Vec, radius: PixelArray, number: Ids, best: Packed) -> Packed:
+        direction, origin, source_hit = rays
         ray_ = Ray(ray.origin if origin is None else origin, direction)
-        t, skip = _seen(ray_, leaving, needs, center, radius, i)
+        t, skip = _meet(Sphere(center, radius), ray_, source_hit, number, inside)
         now = best.real, best.imag.astype(jnp.int32)
-        return _pack(_nearer(now, t, skip, i, in_order=False))
+        return _pack(_closer(now, t, skip, number, in_order=False))
 
     packed = _pack(best)
-    if lists.uniform_grid is None or in_strip:
+    if found.uniform_grid is None or (source_hit is None and found.screen_tiles.row is not None):
         never = lambda best: jnp.full(best.shape, False)
-        packed = lists.screen_tiles.visit((ray.direction, None, None), meet_listed, packed, never)
+        packed = found.screen_tiles.visit((ray.direction, None, None), visit, packed, never)
     else:
-        whole = lambda x: jnp.broadcast_to(x, shape)
-        rays = ray.direction, jax.tree.map(whole, ray.origin), leaving
-        alive = jnp.full(shape, True) if leaving is None else leaving.id >= 0
-        packed = lists.uniform_grid.visit(ray, alive, meet_listed, rays, packed, lambda best: best.real)
+        to_pixels = lambda x: jnp.broadcast_to(x, shape)
+        rays = ray.direction, jax.tree.map(to_pixels, ray.origin), source_hit
+        alive = jnp.full(shape, True) if source_hit is None else source_hit.id >= 0
+        packed = found.uniform_grid.visit(ray, alive, visit, rays, packed, lambda best: best.real)
     return packed.real, packed.imag.astype(jnp.int32)
+
+
+def _meet(
+    object_: Sphere | Plane,
+    ray: Ray,
+    source_hit: Hit | None,
+    number: Ids | Index,
+    may_be_inside: bool,
+) -> tuple[PixelArray, Mask | None]:
+    """Returns the distance to an object's visible hit, and which rays skip the object."""
+    if source_hit is None:
+        return object_.closest_hit(ray, None, None, may_be_inside)
+    is_source = source_hit.id == number
+    return object_.closest_hit(ray, is_source, source_hit.inside, may_be_inside)
 
 
 def _pack(best: Best) -> Packed:
     return jax.lax.complex(best[0], best[1].astype(best[0].dtype))
 
 
-def _seen(
-    ray: Ray, leaving: Hit | None, needs: Needs, center: Vec, radius: PixelArray, i: Ids | Index
-) -> tuple[PixelArray, Mask | None]:
-    """How far along the rays a sphere is, and which of them skip it."""
-    near, far = ray_sphere(ray.origin, ray.direction, center, radius)
-    own = None if leaving is None else leaving.id == i
-    if not needs.inside:
-        return near, own
-    t = jnp.where(near > 0, near, far)
-    if leaving is None or own is None:
-        return t, None
-    # from a point of the sphere itself they meet it at 0 and at twice the way to the middle of the
-    # chord; where rounding put the point outside, those along the wall would pass it by
-    along, _ = perpendicular(ray.origin, ray.direction, center)
-    return jnp.where(own & leaving.inside, 2 * along, t), own & ~leaving.inside
-
-
-def known_hit(
-    world: SceneTables, ray: Ray, number: Ids, needs: Needs, leaving: Hit | None = None
-) -> Hit:
-    """The hits of rays that are known to meet some objects first. **Arguments:** as `nearest`."""
-    if not needs.inside:
-        return Hit(number, jnp.full(number.shape, False))
-    world, ray, leaving = jax.lax.stop_gradient((world, ray, leaving))
-    return Hit(
-        number, compute_once(lambda: _from_inside(world, ray, number, leaving), world.window)
-    )
-
-
-def _nearer(
+def _closer(
     best: Best, t: PixelArray, skip: Mask | None, number: Ids | Index, in_order: bool = True
 ) -> Best:
-    """The nearest object so far or another one, whichever is nearer.
+    """Returns the closer of the closest object so far and another one.
 
-    **Arguments:** `in_order`: whether all objects so far have smaller numbers.
+    **Arguments:** `in_order`: true where all objects so far have smaller numbers.
     """
     closer = t < best[0]
     if not in_order:
@@ -146,18 +125,26 @@ def _nearer(
     return jnp.where(closer, t, best[0]), jnp.where(closer, number, best[1])
 
 
-def _from_inside(world: SceneTables, ray: Ray, number: Ids, leaving: Hit | None) -> Mask:
-    """Whether the sphere that a ray meets is met from inside: its near root lies behind."""
-    ball = gather_rows(world.balls, number)
-    near, _ = ray_sphere(ray.origin, ray.direction, ball.center, ball.radius)
-    inside = near <= 0
-    if leaving is not None:
-        inside = inside | (leaving.id == number) & leaving.inside
-    return inside & (number >= 0) & (number < world.spheres)
+def known_hit(context: TraceContext, ray: Ray, number: Ids, source_hit: Hit | None = None) -> Hit:
+    """Returns the hits of rays that are known to meet some objects first.
+
+    **Arguments:** `number`: of these objects, -1 for none. `source_hit`: as for `closest_hit`.
+    """
+    if not context.needs.inside:
+        return Hit(number, jnp.full(number.shape, False))
+    context, ray, source_hit = jax.lax.stop_gradient((context, ray, source_hit))
+
+    def from_inside() -> Mask:
+        inside = gather_rows(context.tables.spheres, number).seen_from_inside(ray)
+        if source_hit is not None:
+            inside = inside | (source_hit.id == number) & source_hit.inside
+        return inside & context.tables.is_sphere(number)
+
+    return Hit(number, context.compute_once(from_inside))
 
 
-def light_visible(world: SceneTables, point: Vec, hit: Hit, light: Vec, needs: Needs) -> Mask:
-    """Whether the open segment from each point to the light meets no object.
+def light_visible(context: TraceContext, point: Vec, hit: Hit, light: Vec) -> Mask:
+    """Tests for shadows: whether the open segment from each point to the light meets no object.
 
     An occluder beyond the light casts no shadow. Points on the outside of a sphere are not
     shadowed by it here (where N.L <= 0 they are unlit anyway); on its inside they are if the light
@@ -166,72 +153,66 @@ def light_visible(world: SceneTables, point: Vec, hit: Hit, light: Vec, needs: N
     **Arguments:** `point`: surface points, with `hit` the objects they lie on. `light`: the
     light's position, a `Vec` of scalars.
     """
-    world, point, hit, light = jax.lax.stop_gradient((world, point, hit, light))
-    scale = shadow_scale(world, light)
-    flats = PlaneGeometry(world.flats.point * scale, world.flats.normal)
-    balls = SphereGeometry(world.balls.center * scale, world.balls.radius * scale)
-    nearby, light_ = point, light
-    point, light = point * scale, light * scale
-    to_light = light - point
-    square = dot(to_light, to_light)
+    context, point, hit, light = jax.lax.stop_gradient((context, point, hit, light))
+    scale, found = shadow_scale(context, light), context.accelerator
+    segment = shadow_segment(point * scale, light * scale)
+    none = jnp.full(segment.square.shape, False)
 
-    def behind(rays: tuple, center: Vec, radius: PixelArray, i: Ids | Index, blocked: Mask) -> Mask:
-        point, to_light, square, hit = rays
-        to_center = center - point
-        # The cross product needs no division and no root, either of which would split the loop
-        # into several kernels: |PC x PL|^2 = |PC|^2 |PL|^2 sin^2.
-        off = cross(to_center, to_light)
-        square_radius = radius * radius
-        close = dot(off, off) < square_radius * square
-        along = dot(to_center, to_light)
-        from_light = light - center
-        light_inside = dot(from_light, from_light) < square_radius
-        between = (along > 0) & (along < square)
-        if not needs.inside:
-            return blocked | close & (between | light_inside) & (hit.id != i)
-        own = hit.id == i
-        inside = jnp.where(own, hit.inside, dot(to_center, to_center) < square_radius)
-        crossed = jnp.where(inside | light_inside, inside != light_inside, close & between & ~own)
-        return blocked | crossed
+    def occlude(object_: Sphere | Plane, number: Ids | Index, occluded: Mask) -> Mask:
+        return occluded | _occludes(context, object_, segment, hit, number)
 
-    def behind_sphere(i, blocked):
-        ball = table_row(balls, i)
-        return behind((point, to_light, square, hit), ball.center, ball.radius, i, blocked)
-
-    def behind_any() -> Mask:
-        return loop(world.spheres, behind_sphere, jnp.full(square.shape, False))
-
-    def behind_listed(lamp: LightBuffer) -> Mask:
-        def meet(rays: tuple, center: Vec, radius: PixelArray, i: Ids, blocked: Mask) -> Mask:
-            return behind(rays, center * scale, radius * scale, i, blocked)
-
-        rays = point, to_light, square, Hit(hit.id.astype(jnp.int32), hit.inside)
-        blocked = jnp.full(square.shape, False)
-        return lamp.visit(nearby, hit.id >= 0, meet, rays, blocked, lambda blocked: blocked)
-
-    def behind_spheres() -> Mask:
-        if world.lists is None or world.lists.light_buffers is None:
-            return behind_any()
-        known, lamp = world.lists.light_buffer(light_)
-        return jax.lax.cond(known, behind_listed, lambda _: behind_any(), lamp)
-
-    def behind_plane(i, blocked):
-        flat = table_row(flats, i)
-        sides = dot(point - flat.point, flat.normal) * dot(light - flat.point, flat.normal)
-        return blocked | (sides < 0) & (hit.id != i + world.spheres)
-
-    blocked = behind_spheres()
-    if needs.planes:
-        blocked = loop(world.planes, behind_plane, blocked)
-    return ~blocked
+    if found is None or found.light_buffers is None:
+        return ~context.fold(occlude, none, scale=scale)
+    known, light_buffer = found.light_buffer(light)
+    occluded = jax.lax.cond(
+        known,
+        lambda buffer: _occluded_by_listed(context, buffer, point, segment, hit, scale),
+        lambda _: context.fold(occlude, none, planes=False, scale=scale),
+        light_buffer,
+    )
+    return ~context.fold(occlude, occluded, spheres=False, scale=scale)
 
 
-def shadow_scale(world: SceneTables, light: Vec) -> Scalar:
-    """A power of two that scales the largest length to a thousand, which is exact.
+def _occludes(
+    context: TraceContext,
+    object_: Sphere | Plane,
+    segment: ShadowSegment,
+    hit: Hit,
+    number: Ids | Index,
+) -> Mask:
+    is_own = hit.id == number
+    return object_.occludes(segment, is_own, hit.inside, context.needs.inside)
+
+
+def _occluded_by_listed(
+    context: TraceContext,
+    light_buffer: LightBuffer,
+    point: Vec,
+    segment: ShadowSegment,
+    hit: Hit,
+    scale: Scalar,
+) -> Mask:
+    """Tests segments against the spheres that the light buffer lists for their points."""
+
+    def visit(rays: tuple, center: Vec, radius: PixelArray, number: Ids, occluded: Mask) -> Mask:
+        segment_, hit_ = rays
+        segment_ = ShadowSegment(segment_[0], segment.light, segment_[1], segment_[2])
+        sphere = Sphere(center, radius).scaled(scale)
+        return occluded | _occludes(context, sphere, segment_, hit_, number)
+
+    hit = Hit(hit.id.astype(jnp.int32), hit.inside)
+    rays = (segment.point, segment.to_light, segment.square), hit
+    none = jnp.full(segment.square.shape, False)
+    done = lambda occluded: occluded
+    return light_buffer.visit(point, hit.id >= 0, visit, rays, none, done)
+
+
+def shadow_scale(context: TraceContext, light: Vec) -> Scalar:
+    """Returns a power of two that scales the largest length to a thousand, which is exact.
 
     The shadow test multiplies four lengths: in float32 it would overflow where a radius times the
     light's distance exceeds 1.8e19, and shadows would be lost (planets, in metres). A thousand and
     not one, as small spheres and near lights beside a planet are more than points so far away.
     """
-    largest = world.balls.radius, *parts(world.balls.center), *parts(light)
-    return 1024 * to_order_one(*largest)
+    spheres = context.tables.spheres
+    return 1024 * to_order_one(spheres.radius, *parts(spheres.center), *parts(light))

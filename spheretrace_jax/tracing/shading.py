@@ -1,4 +1,4 @@
-"""The lecture's shading: ambient, Lambert and Phong (or halfway-vector) terms at a point.
+"""The lecture's shading: ambient, Lambert and Phong (or Blinn's halfway-vector) terms at a point.
 
     C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
 
@@ -9,38 +9,42 @@ import jax.numpy as jnp
 
 from ..base.types import Highlight, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit
-from .tables import Surface
+from .hit import Surface
 
 
 def lambert(surface: Surface, to_light: Vec) -> PixelArray:
-    """N.L, which may be negative: unlit then. **Arguments:** `to_light`: unit vectors L."""
+    """Returns N.L; negative values mean unlit. **Arguments:** `to_light`: unit vectors L."""
     return dot(surface.normal, to_light)
 
 
 def phong(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
-    """R.V with R = 2 (N.L) N - L (slide "Specular Reflection"), which may be negative.
+    """Returns R.V with R = 2 (N.L) N - L (slide "Specular Reflection"), which may be negative.
 
     **Arguments:** `to_light`: unit vectors L. `direction`: the rays' directions, -V.
     """
-    return 2 * lambert(surface, to_light) * surface.facing + dot(to_light, direction)
+    return 2 * lambert(surface, to_light) * surface.cos_view + dot(to_light, direction)
 
 
 def blinn(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
-    """H.N with H = (L + V)/|L + V| (slide "Halfway Vector"); 0 where L = -V leaves H undefined.
+    """Returns H.N with H = (L + V)/|L + V| (slide "Halfway Vector").
+
+    The value is 0 where L = -V leaves H undefined.
 
     **Arguments:** as for `phong`.
     """
     length = norm(to_light - direction)
-    some = length > 0
-    cosine = (lambert(surface, to_light) + surface.facing) / jnp.where(some, length, 1)
-    return jnp.where(some, cosine, 0)
+    defined = length > 0
+    cosine = (lambert(surface, to_light) + surface.cos_view) / jnp.where(defined, length, 1)
+    return jnp.where(defined, cosine, 0)
 
 
 HIGHLIGHTS = {"phong": phong, "blinn": blinn}
 
 
 def ends_abruptly(highlight: Highlight, to_light: Vec, direction: Vec) -> Mask:
-    """Whether a highlight has not faded out where N.L = 0 ends it: Phong's if lit from behind.
+    """Tests whether a highlight is discontinuous at N.L = 0, where lighting ends.
+
+    Phong's is where L.V < 0, with the light behind the surface; Blinn's always is.
 
     **Arguments:** as for `phong`.
     """
@@ -49,15 +53,15 @@ def ends_abruptly(highlight: Highlight, to_light: Vec, direction: Vec) -> Mask:
 
 
 def power(cosine: PixelArray, exponent: PixelArray) -> PixelArray:
-    """max(cosine, 0)^exponent, with 0^0 = 1; its derivative is 0 where cosine <= 0."""
-    some = cosine > 0
-    # exp(n log c): 1.5 ms for a million pixels, where `power` takes 5.1
-    value = jnp.exp(exponent * jnp.log(jnp.where(some, cosine, 1)))
-    return jnp.where(some, value, jnp.where(exponent == 0, 1, 0).astype(cosine.dtype))
+    """Returns max(cosine, 0)^exponent, with 0^0 = 1; the derivative is 0 where cosine <= 0."""
+    positive = cosine > 0
+    # exp(n log c): 1.5 ms for a million pixels, where `jnp.power` takes 5.1
+    value = jnp.exp(exponent * jnp.log(jnp.where(positive, cosine, 1)))
+    return jnp.where(positive, value, jnp.where(exponent == 0, 1, 0).astype(cosine.dtype))
 
 
 def toward_light(surface: Surface, light: Vec) -> Vec:
-    """L: the unit vectors from the surface to a light."""
+    """Returns L: the unit vectors from the surface to a light."""
     return unit(light - surface.point)
 
 
@@ -69,10 +73,10 @@ def light_terms(
     lit: Mask,
     highlight: Highlight | None,
 ) -> tuple[PixelArray, PixelArray]:
-    """What one light adds, before colours and coefficients: N.L and (R.V)^n, 0 where not lit.
+    """Computes one light's terms before colours and coefficients: N.L and (R.V)^n, 0 if unlit.
 
     **Arguments:** `direction`: the rays' directions. `light`: the light's position. `lit`: whether
-    the light reaches the point. `highlight`: None leaves the second term out.
+    the light is visible from the point. `highlight`: the model; None leaves the second term out.
     """
     to_light = toward_light(surface, light)
     cosine = lambert(surface, to_light)

@@ -1,4 +1,4 @@
-"""The marked ones of many: where they are, and work for them alone, chunk by chunk."""
+"""Stream compaction: finds the set elements of a mask and works only on these, in chunks."""
 
 import math
 from collections.abc import Callable
@@ -17,150 +17,157 @@ from .rematerialization import remat
 T = TypeVar("T")
 C = TypeVar("C")
 
-# Of more chunks than these it is found out group by group that there is nothing to do: each takes
-# some 2 us for every array that the reverse pass remembers (of 512 half a gradient's time).
-MOST_SKIPPED = 16
+# Number of chunks from which empty ones are skipped in groups instead of one by one. Each chunk
+# tested alone takes some 2 us for every array that the reverse pass stores (with 512 chunks half
+# of a gradient's time).
+MAX_SINGLE_CHUNKS = 16
 
-# Rays that take different numbers of steps go on in chunks of a part of them, but of no fewer than
-# these.
-CHUNKS, LEAST_CHUNK = 4, 1 << 10
+# Active rays are compacted into chunks of this fraction of all rays (1 / ACTIVE_CHUNKS). Smaller
+# chunks leave fewer finished rays in a loop but start more loops.
+ACTIVE_CHUNKS = 4
+
+# Smallest such chunk, in rays: fewer rays than ACTIVE_CHUNKS of these run uncompacted.
+MIN_ACTIVE_CHUNK = 1 << 10
 
 
 def nth_set(
-    marked: Bool[Array, " n"],
+    mask: Bool[Array, " n"],
 ) -> tuple[Int[Array, ""], Callable[[Int[Array, " k"]], Int[Array, " k"]]]:
-    """Where the yeses are in a long list of yes and no.
+    """Counts the set elements of a mask and finds the k-th of them (rank and select by popcount).
 
-    **Returns:** how many there are, and a function from k to the place of the k-th, from 0 on.
-    Words of 32 are counted, and only where something is looked up their bits: 1 ms for a million,
-    where a running count of all and a scatter take 15.
+    **Returns:** the count, and a function from k (from 0 on) to the index of the k-th set element.
+    Population counts are summed over 32-bit words; single bits are searched only in the words
+    looked up. For a million elements: 1 ms, against 15 for a prefix sum of all and a scatter.
     """
     bits = jnp.arange(32, dtype=jnp.uint32)
-    words = jnp.pad(marked, (0, -marked.size % 32)).reshape(-1, 32).astype(jnp.uint32)
+    words = jnp.pad(mask, (0, -mask.size % 32)).reshape(-1, 32).astype(jnp.uint32)
     words = jnp.sum(words << bits[None], axis=1, dtype=jnp.uint32)
     counts = lax.population_count(words).astype(jnp.int32)
     ends = prefix_sum(counts)
 
-    def place(k: Int[Array, " k"]) -> Int[Array, " k"]:
-        at = jnp.searchsorted(ends, k, side="right").astype(jnp.int32)
-        at = jnp.minimum(at, ends.size - 1)
-        word, rest = words[at], k - (ends[at] - counts[at])
+    def select(k: Int[Array, " k"]) -> Int[Array, " k"]:
+        index = jnp.searchsorted(ends, k, side="right").astype(jnp.int32)
+        index = jnp.minimum(index, ends.size - 1)
+        word, rank = words[index], k - (ends[index] - counts[index])
         bit = jnp.zeros_like(k)
         for width in (16, 8, 4, 2, 1):
             low = lax.population_count(word & jnp.uint32((1 << width) - 1)).astype(jnp.int32)
-            beyond = rest >= low
-            rest = jnp.where(beyond, rest - low, rest)
-            word = jnp.where(beyond, word >> jnp.uint32(width), word)
-            bit = jnp.where(beyond, bit + width, bit)
-        return at * 32 + bit
+            in_high_half = rank >= low
+            rank = jnp.where(in_high_half, rank - low, rank)
+            word = jnp.where(in_high_half, word >> jnp.uint32(width), word)
+            bit = jnp.where(in_high_half, bit + width, bit)
+        return index * 32 + bit
 
-    return ends[-1], place
+    return ends[-1], select
 
 
 def replace_where(
     values: T,
-    marked: Bool[Array, " n"],
+    mask: Bool[Array, " n"],
     work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
     size: int,
 ) -> T:
-    """The values with those of the marked places replaced by `work`, as `add_where` adds them."""
-    # added, not set, so that the reverse pass hands on the values' part untouched: to clear it
-    # at every time, it copies all of them (for a gradient 260 ms, not 180)
-    values = jax.tree.map(lambda v: jnp.where(marked, 0, v), values)
-    return add_where(values, marked, work, size)
+    """Replaces the values where `mask` is set by those of `work`; arguments as for `add_where`."""
+    # adding to zeros instead of setting leaves the cotangents of `values` untouched in the reverse
+    # pass: clearing them in each chunk copies all of them (260 against 180 ms for a gradient)
+    values = jax.tree.map(lambda v: jnp.where(mask, 0, v), values)
+    return add_where(values, mask, work, size)
 
 
 def add_where(
     values: T,
-    marked: Bool[Array, " n"],
+    mask: Bool[Array, " n"],
     work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
     size: int,
     again: bool = False,
 ) -> T:
-    """The values with those of `work` added at the marked places, only for as many as there are.
+    """Adds the values of `work` where `mask` is set, in fixed-size chunks (stream compaction).
 
-    **Arguments:** `values`: a pytree of arrays of shape `(n, ...)`. `work`: from places, and which
-    of them count, to their values. `size`: how many places at a time.
+    The run time grows with the number of set elements, not with n.
+
+    **Arguments:** `values`: a pytree of arrays of shape `(n, ...)`. `work`: from the indices of a
+    chunk and the mask of its valid indices to their values. `size`: indices per chunk. `again`:
+    whether the reverse pass recomputes `work` instead of storing its intermediate values.
     """
-    n = marked.size
-    total, place = nth_set(marked)
+    n = mask.size
+    total, select = nth_set(mask)
     one_chunk = jnp.arange(size, dtype=jnp.int32)
 
-    def new_at(at: Int[Array, "size 1"]) -> T:
-        counts = at[:, 0] < n
-        return work(jnp.where(counts, at[:, 0], 0), counts)
+    def work_at(indices: Int[Array, "size 1"]) -> T:
+        valid = indices[:, 0] < n
+        return work(jnp.where(valid, indices[:, 0], 0), valid)
 
-    def put(values: T, first: Index) -> T:
-        number = first + one_chunk
-        at = barrier(jnp.where(number < total, place(number), n)[:, None])
+    def add_chunk(values: T, first: Index) -> T:
+        ranks = first + one_chunk
+        indices = barrier(jnp.where(ranks < total, select(ranks), n)[:, None])
 
-        def add(v: Array, x: Array) -> Array:
+        def scatter(v: Array, x: Array) -> Array:
             axes = lax.ScatterDimensionNumbers(tuple(range(1, x.ndim)), (0,), (0,))
-            return lax.scatter_add(v, at, x, axes, unique_indices=True, mode="drop")
+            return lax.scatter_add(v, indices, x, axes, unique_indices=True, mode="drop")
 
-        # traced again, all that is kept is one array, with room for all the chunks there might be
-        new = remat(new_at)(at) if again else new_at(at)
-        return jax.tree.map(add, values, new)
+        # rematerialised, all that the reverse pass stores is one array with room for every chunk
+        new = remat(work_at)(indices) if again else work_at(indices)
+        return jax.tree.map(scatter, values, new)
 
-    def put_some(values: T, firsts: Int[Array, "..."]) -> tuple[T, None]:
+    def add_chunks(values: T, firsts: Int[Array, "..."]) -> tuple[T, None]:
         skip = lambda values, _: values
-        work = put if firsts.ndim == 0 else lambda v, x: lax.scan(put_some, v, x)[0]
-        return lax.cond(firsts.reshape(-1)[0] < total, work, skip, values, firsts), None
+        add = add_chunk if firsts.ndim == 0 else lambda v, x: lax.scan(add_chunks, v, x)[0]
+        return lax.cond(firsts.reshape(-1)[0] < total, add, skip, values, firsts), None
 
-    # of many chunks it is found out group by group that there are no places left
     chunks = -(-n // size)
     groups = math.isqrt(chunks)
-    shape = (groups, -(-chunks // groups)) if chunks > MOST_SKIPPED else (chunks,)
+    shape = (groups, -(-chunks // groups)) if chunks > MAX_SINGLE_CHUNKS else (chunks,)
     firsts = jnp.arange(math.prod(shape), dtype=jnp.int32).reshape(shape) * size
-    return lax.scan(put_some, values, firsts)[0]
+    return lax.scan(add_chunks, values, firsts)[0]
 
 
 def while_active(
     step: Callable[[C, T], T],
-    alive: Callable[[C, T], Bool[Array, " n"]],
+    is_active: Callable[[C, T], Bool[Array, " n"]],
     context: C,
     state: T,
 ) -> T:
-    """Repeats a step for n rays until none of them is alive.
+    """Repeats `step` for n rays until no ray is active, with stream compaction between loops.
 
-    Rays end after very different numbers of steps, and a loop over all of them takes as many as
-    the longest one. So they go on in chunks of those that are alive, each until few of its rays
-    are.
+    Rays take very different numbers of steps, and a loop over all of them takes as many as the
+    longest ray. Active rays are therefore compacted into chunks; a chunk's loop ends when few of
+    its rays are still active.
 
-    **Arguments:** `step`: from what rays are given and their states to their next states; those of
-    rays that are done must not change. `context`, `state`: pytrees of arrays of shape `(n, ...)`.
+    **Arguments:** `step`: from the rays' context and states to their next states; it must not
+    change the states of inactive rays. `context`, `state`: pytrees of arrays of shape `(n, ...)`.
     """
     n = jax.tree.leaves(state)[0].shape[0]
-    count = lambda context, state: jnp.sum(alive(context, state), dtype=jnp.int32)
+    count = lambda context, state: jnp.sum(is_active(context, state), dtype=jnp.int32)
 
-    def steps(context: C, state: T, few: Index) -> T:
-        go_on = lambda state: count(context, state) > few
-        return lax.while_loop(go_on, partial(step, context), state)
+    def run(context: C, state: T, most_active: Index) -> T:
+        """Steps until at most `most_active` rays are active."""
+        proceed = lambda state: count(context, state) > most_active
+        return lax.while_loop(proceed, partial(step, context), state)
 
-    if n < CHUNKS * LEAST_CHUNK:
-        return steps(context, state, 0)
-    size = -(-n // CHUNKS)
-    number = jnp.arange(size, dtype=jnp.int32)
+    if n < ACTIVE_CHUNKS * MIN_ACTIVE_CHUNK:
+        return run(context, state, 0)
+    size = -(-n // ACTIVE_CHUNKS)
+    ranks = jnp.arange(size, dtype=jnp.int32)
 
-    def go_on_with_some(state: T) -> T:
-        total, place = nth_set(alive(context, state))
-        # what fills up a chunk are more of its last ray: they do what it does
-        at = jnp.clip(place(jnp.minimum(number, total - 1)), 0, n - 1)
-        take = lambda x: x.at[at].get(mode="promise_in_bounds")
-        given, some = jax.tree.map(take, (context, state))
-        some = steps(given, some, jnp.minimum(total, size) // 4)
-        at = jnp.where(number < total, at, n)
-        put = lambda x, new: x.at[at].set(new, mode="drop", unique_indices=True)
-        return jax.tree.map(put, state, some)
+    def run_chunk(state: T) -> T:
+        total, select = nth_set(is_active(context, state))
+        # the last active ray fills up the chunk: the copies do the same steps
+        indices = jnp.clip(select(jnp.minimum(ranks, total - 1)), 0, n - 1)
+        take = lambda x: x.at[indices].get(mode="promise_in_bounds")
+        chunk_context, chunk_state = jax.tree.map(take, (context, state))
+        chunk_state = run(chunk_context, chunk_state, jnp.minimum(total, size) // 4)
+        indices = jnp.where(ranks < total, indices, n)
+        put = lambda x, new: x.at[indices].set(new, mode="drop", unique_indices=True)
+        return jax.tree.map(put, state, chunk_state)
 
-    return lax.while_loop(lambda state: count(context, state) > 0, go_on_with_some, state)
+    return lax.while_loop(lambda state: count(context, state) > 0, run_chunk, state)
 
 
 def prefix_sum(x: Int[Array, " n"]) -> Int[Array, " n"]:
-    """The sums of the first one, two, ... of some numbers.
+    """Returns the inclusive prefix sums of an integer array.
 
-    In log2(n) passes of one small loop: as fast as `jnp.cumsum` on the CPU, which compiles a loop
-    for each of these passes (0.36 s).
+    log2(n) passes of one small loop: as fast as `jnp.cumsum` on the CPU, which compiles a separate
+    loop for each pass (0.36 s).
     """
     n = x.size
 

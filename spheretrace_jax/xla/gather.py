@@ -1,4 +1,4 @@
-"""Gathers of table rows, with a reverse pass that sums whole rows per object."""
+"""Gathers of table rows by object index, with a reverse pass that sums whole rows per object."""
 
 from typing import TypeVar
 
@@ -14,116 +14,119 @@ from .loops import UNROLL
 
 T = TypeVar("T")
 
-# For at most this many pixels rows of short tables are fetched one by one, too: selects are faster
-# for many, but there are a dozen of them for each number, and a third of what there is to compile
-# of covered edges was these.
-MOST_GATHERED = 1 << 13
+# Number of pixels up to which rows of short tables are gathered, not selected by a binary tree.
+# The tree is faster for more pixels, but takes a dozen selects for each column: a third of the
+# program to compile for covered edges was selects.
+MAX_GATHERED_PIXELS = 1 << 13
 
-# Sums over pixels are spread over this many bins per object before they are added up: neighbours
-# then do not wait for one another, and float32 keeps its digits.
+# Partial sums per object in the reverse pass. More of them keep neighbouring pixels from waiting
+# for one another, and keep digits in float32; they are added up in the end.
 SUB_BINS = 16
 
 
 def gather_rows(table: T, ids: Ids) -> T:
-    """The rows of a table that pixels ask for.
+    """Gathers a row of the table for each pixel.
 
-    **Arguments:** `table`: a pytree of arrays of shape `(objects,)`. `ids`: which row, shape
-    `(*pixels,)`; where there is no such row the answer is some other's, of an empty table 0.
+    **Arguments:** `table`: a pytree of arrays of shape `(objects,)`. `ids`: row indices, shape
+    `(*pixels,)`. An index out of range gives the row of another object, or 0 for an empty table.
 
     **Returns:** the same pytree with arrays of shape `(*pixels,)`.
     """
-    columns, shape = jax.tree.flatten(table)
+    columns, structure = jax.tree.flatten(table)
     if columns[0].size == 0:
         return jax.tree.map(lambda column: jnp.zeros(ids.shape, column.dtype), table)
-    return jax.tree.unflatten(shape, _fetch(columns, ids))
+    return jax.tree.unflatten(structure, _gather(columns, ids))
 
 
 @jax.custom_jvp
-def _fetch(columns: list[Float[Array, " objects"]], ids: Ids) -> list[PixelArray]:
-    if columns[0].shape[0] <= UNROLL and ids.size > MOST_GATHERED:
+def _gather(columns: list[Float[Array, " objects"]], ids: Ids) -> list[PixelArray]:
+    if columns[0].shape[0] <= UNROLL and ids.size > MAX_GATHERED_PIXELS:
         return _select(columns, ids)
-    row = _within(ids, columns[0].shape[0])
+    row = _clip(ids, columns[0].shape[0])
     return [column.at[row].get(mode="promise_in_bounds") for column in columns]
 
 
-def _fetch_jvp(primals, tangents):
+def _gather_jvp(primals, tangents):
     columns, ids = primals
-    fetched = _fetch(columns, ids)
-    moves = [not isinstance(t, SymbolicZero) for t in tangents[0]]
-    if not any(moves):
-        return fetched, [jnp.zeros_like(value) for value in fetched]
-    # Whole rows, so that the reverse pass is one segment sum of rows per pixel (3.6 ms), where
-    # masked sums per object and column take 5 to 30 times as long.
-    rows = jnp.stack([t for t, some in zip(tangents[0], moves, strict=True) if some], axis=1)
-    bin_ = jnp.arange(ids.size, dtype=jnp.int32).reshape(ids.shape) % SUB_BINS
-    at = _within(ids, len(rows)) + len(rows) * bin_
-    d = jnp.tile(rows, (SUB_BINS, 1)).at[at].get(mode="promise_in_bounds")
-    # picked by a mask, so that backwards they are put side by side by masks: 3 ms for 8 of a
-    # million pixels, where a stack takes 9
+    gathered = _gather(columns, ids)
+    varies = [not isinstance(t, SymbolicZero) for t in tangents[0]]
+    if not any(varies):
+        return gathered, [jnp.zeros_like(value) for value in gathered]
+    # Whole rows make the reverse pass one segment sum of rows per pixel (3.6 ms); masked sums per
+    # object and column take 5 to 30 times as long.
+    rows = jnp.stack([t for t, moves in zip(tangents[0], varies, strict=True) if moves], axis=1)
+    sub_bin = jnp.arange(ids.size, dtype=jnp.int32).reshape(ids.shape) % SUB_BINS
+    index = _clip(ids, len(rows)) + len(rows) * sub_bin
+    d = jnp.tile(rows, (SUB_BINS, 1)).at[index].get(mode="promise_in_bounds")
+    # masks pick the columns, so that the reverse pass joins cotangents by masks: 3 ms for 8
+    # columns of a million pixels, where a stack takes 9
     number = jnp.arange(rows.shape[1], dtype=jnp.int32)
     picked = iter([jnp.sum(jnp.where(number == k, d, 0), axis=-1) for k in range(rows.shape[1])])
-    each = zip(moves, fetched, strict=True)
-    return fetched, [next(picked) if some else jnp.zeros_like(value) for some, value in each]
+    pairs = zip(varies, gathered, strict=True)
+    return gathered, [next(picked) if moves else jnp.zeros_like(value) for moves, value in pairs]
 
 
-_fetch.defjvp(_fetch_jvp, symbolic_zeros=True)
+_gather.defjvp(_gather_jvp, symbolic_zeros=True)
 
 
 def gather_pixel_rows(table: T, ids: Ids) -> T:
-    """`fetch` from tables of each pixel's own, of shape `(objects, *pixels)`; not forwards.
+    """Gathers rows from one table per pixel, of shape `(objects, *pixels)`; see `gather_rows`.
 
-    A table of one row gives that row, whatever the number.
+    Reverse mode only. A table of one row gives this row for every index.
     """
-    columns, shape = jax.tree.flatten(table)
-    return jax.tree.unflatten(shape, _fetch_own(columns, ids))
+    columns, structure = jax.tree.flatten(table)
+    return jax.tree.unflatten(structure, _gather_per_pixel(columns, ids))
 
 
 @jax.custom_vjp
-def _fetch_own(columns: list[Float[Array, "rows *#pixels"]], ids: Ids) -> list[PixelArray]:
+def _gather_per_pixel(columns: list[Float[Array, "rows *#pixels"]], ids: Ids) -> list[PixelArray]:
     if columns[0].shape[0] <= UNROLL:
         return _select(columns, ids)
-    row = _within(ids, columns[0].shape[0])[None]
+    row = _clip(ids, columns[0].shape[0])[None]
     take = lambda column: jnp.take_along_axis(column, row, axis=0, mode="promise_in_bounds")[0]
     return [take(column) for column in columns]
 
 
-def _fetch_own_forward(columns: list, ids: Ids) -> tuple[list[PixelArray], tuple]:
-    return _fetch_own(columns, ids), (ids, columns[0].shape[0])
+def _gather_per_pixel_forward(columns: list, ids: Ids) -> tuple[list[PixelArray], tuple]:
+    return _gather_per_pixel(columns, ids), (ids, columns[0].shape[0])
 
 
-def _fetch_own_backward(kept: tuple, slopes: list[PixelArray]) -> tuple[list, None]:
-    ids, count = kept
+def _gather_per_pixel_backward(residuals: tuple, cotangents: list[PixelArray]) -> tuple[list, None]:
+    ids, count = residuals
     if count == 1:
-        return [slope[None] for slope in slopes], None
-    # kept, or what leads to them is computed again for each row
-    slopes = barrier(slopes)
+        return [cotangent[None] for cotangent in cotangents], None
+    # without the barrier XLA recomputes the cotangents for each row
+    cotangents = barrier(cotangents)
     rows = jnp.arange(count, dtype=jnp.int32).reshape(-1, *[1] * ids.ndim)
-    mine = _within(ids, count)[None] == rows
-    return [jnp.where(mine, slope[None], 0) for slope in slopes], None
+    is_row = _clip(ids, count)[None] == rows
+    return [jnp.where(is_row, cotangent[None], 0) for cotangent in cotangents], None
 
 
-_fetch_own.defvjp(_fetch_own_forward, _fetch_own_backward)
+_gather_per_pixel.defvjp(_gather_per_pixel_forward, _gather_per_pixel_backward)
 
 
-def _within(ids: Ids, count: int) -> Ids:
+def _clip(ids: Ids, count: int) -> Ids:
     return jnp.clip(ids, 0, count - 1).astype(jnp.int32)
 
 
 def _select(columns: list[Array], ids: Ids) -> list[PixelArray]:
-    """column[ids] by a binary tree of selects on the bits of the ids: no gather, so vectorised."""
+    """Computes column[ids] by a binary tree of selects on the bits of the ids.
+
+    Without a gather XLA vectorises the loop.
+    """
     bits = range((columns[0].shape[0] - 1).bit_length())
-    odd = [(ids >> bit) & 1 == 1 for bit in bits]
+    bit_set = [(ids >> bit) & 1 == 1 for bit in bits]
     selected = []
     for column in columns:
         values = list(column)
-        for one in odd:
+        for is_set in bit_set:
             pairs = zip(values[::2], values[1::2], strict=False)
             last = values[-1:] if len(values) % 2 else []
-            values = [jnp.where(one, b, a) for a, b in pairs] + last
+            values = [jnp.where(is_set, b, a) for a, b in pairs] + last
         selected.append(jnp.broadcast_to(values[0], ids.shape))
     return selected
 
 
 def smallest_int(count: int) -> jnp.dtype:
-    """The smallest signed integer type that holds -1 and all numbers up to `count`."""
+    """Returns the smallest signed integer type that holds -1 and all numbers up to `count`."""
     return jnp.dtype(jnp.int8 if count < 1 << 7 else jnp.int16 if count < 1 << 15 else jnp.int32)

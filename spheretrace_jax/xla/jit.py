@@ -1,4 +1,4 @@
-"""Compilation: `jax.jit` with what XLA has to be told about the processor."""
+"""Compilation: `jax.jit` with compiler options for the processor."""
 
 from collections.abc import Callable
 from functools import cache, wraps
@@ -10,17 +10,16 @@ import jax.core
 import jax.numpy as jnp
 
 T = TypeVar("T")
-
-
 P = ParamSpec("P")
 
 
 @cache
 def compiler_options() -> dict[str, int]:
-    """What XLA is told of the processor: to use vectors as wide as it has.
+    """Returns the options that make XLA use the full vector width of the processor.
 
-    By default it uses half of those of AVX-512: the picture takes 8 ms then and not 5.5, its
-    gradient 21 and not 17. Only the outermost compiled function may say so.
+    By default XLA uses half of the width of AVX-512: a picture then takes 8 ms instead of 5.5, its
+    gradient 21 instead of 17. Only the outermost compiled function may set options. Empty where
+    the backend does not know the option.
     """
     wide = {"xla_cpu_prefer_vector_width": 512}
     try:
@@ -31,7 +30,7 @@ def compiler_options() -> dict[str, int]:
 
 
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
-    """`equinox.filter_jit` with the `compiler_options`, if no function around it is compiled."""
+    """Compiles by `equinox.filter_jit`, with `compiler_options` unless called inside a trace."""
     jit: Any = eqx.filter_jit
     inner = jit(function)
 
@@ -41,7 +40,7 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        # while a function is compiled, new arrays are tracers, too
+        # inside a trace new arrays are tracers, even where all arguments are concrete
         arrays = jax.tree.leaves((args, kwargs, jnp.zeros(())))
         traced = any(isinstance(x, jax.core.Tracer) for x in arrays)
         return (inner if traced else outermost())(*args, **kwargs)

@@ -13,20 +13,22 @@ from ..base.types import Index
 
 T = TypeVar("T")
 
-# Loops over at most this many objects are written out: XLA then keeps the whole loop in registers.
+# Number of iterations up to which loops over objects are unrolled: XLA then keeps the loop state
+# in registers. More iterations make the program longer to compile.
 UNROLL = 16
 
-# In a strip of this many pixels the temporaries stay below 32 MB, above which the allocator maps
-# and unmaps memory at every call (20.7 against 11.8 ms); much smaller strips lose to overheads.
+# Pixels per strip of a picture. In strips of this size the temporaries stay below 32 MB. Above
+# that the allocator maps and unmaps memory at every call (20.7 against 11.8 ms); much smaller
+# strips lose to overheads.
 STRIP_PIXELS = 1 << 17
 
 
 def keep_loop_parallel(number: Int[Array, ""]) -> Int[Array, ""]:
-    """The same number, at least 0, for a loop that is not to be taken for small.
+    """Returns the same number, at least 0, and keeps XLA from running its loop on one thread.
 
-    XLA makes one function, for one thread, of a loop that it takes for small, as that of jax 0.12
-    does of a picture's strips (9.0 ms, not 5.3; of a gradient's 20, not 16), but of none that calls
-    another library.
+    XLA compiles a loop that it takes for small into one single-threaded function. In jax 0.12 the
+    loop over a picture's strips is one (9.0 ms, not 5.3; for a gradient 20, not 16). XLA never
+    does so with a loop that calls another library: hence the Cholesky factor.
     """
     if jax.default_backend() != "cpu":
         return number
@@ -35,7 +37,10 @@ def keep_loop_parallel(number: Int[Array, ""]) -> Int[Array, ""]:
 
 
 def loop(count: int, body: Callable[[Index, T], T], start: T, unroll: int = UNROLL) -> T:
-    """`body(count - 1, ... body(1, body(0, start)))`: written out if short, a loop if long."""
+    """Computes `body(count - 1, ... body(1, body(0, start)))`.
+
+    Loops of at most `unroll` iterations are unrolled, longer ones become a `fori_loop`.
+    """
     if count <= unroll:
         for i in range(count):
             start = body(i, start)

@@ -1,4 +1,4 @@
-"""Rematerialisation: what the reverse pass computes again, and what it keeps."""
+"""Rematerialization: what the reverse pass recomputes, and which residuals it stores."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -9,16 +9,15 @@ from jax.ad_checkpoint import checkpoint_name
 
 T = TypeVar("T")
 
+_SAVED = "saved"
+
 
 def save_residuals(values: T) -> T:
-    """The same values, which `retrace` remembers: small ones that took long to find."""
-    return jax.tree.map(lambda value: checkpoint_name(value, _REMEMBERED), values)
+    """Marks small, expensive values for `remat` to store for the reverse pass."""
+    return jax.tree.map(lambda value: checkpoint_name(value, _SAVED), values)
 
 
 def remat(function: Callable[..., T]) -> Callable[..., T]:
-    """The same function, computed again in the reverse pass but for what it remembers."""
-    policy = jax.checkpoint_policies.save_only_these_names(_REMEMBERED)
+    """Recomputes `function` in the reverse pass, except for values marked by `save_residuals`."""
+    policy = jax.checkpoint_policies.save_only_these_names(_SAVED)
     return jax.checkpoint(function, policy=policy)
-
-
-_REMEMBERED = "remembered"

@@ -1,7 +1,7 @@
-"""Rows of a picture on several devices: each computes its own.
+"""Sharding: a picture's rows are divided among devices, each of which computes one block.
 
-Rows do not depend on one another but for smooth shading, which is averaged by its differences from
-the rows above and below: of these, and of no other rows, devices tell their neighbours.
+Rows are independent except for the pixel filter of smooth shading, which needs the rows above and
+below. Only these boundary rows (a halo of one row) are exchanged between neighbouring devices.
 """
 
 import math
@@ -19,41 +19,49 @@ from ..base.errors import InputError
 from ..base.types import Index
 
 T = TypeVar("T")
-Whole = TypeVar("Whole")
-Own = TypeVar("Own")
+Replicated = TypeVar("Replicated")
+Sharded = TypeVar("Sharded")
 
 
 class Rows(eqx.Module):
-    """Those of a picture's rows that are computed together: all, or one device's own."""
+    """A block of a picture's rows: all rows, or the block of one device."""
 
     count: int = eqx.field(static=True)
-    axes: tuple[str, ...] = eqx.field(static=True, default=())  #: the mesh's, along which they lie
+    axes: tuple[str, ...] = eqx.field(static=True, default=())  #: mesh axes that divide the rows
 
     @property
     def first(self) -> Index:
-        """The number of the first one."""
+        """Returns the index of the first row of the block."""
         return lax.axis_index(self.axes).astype(jnp.int32) * self.count if self.axes else 0
 
     def within(self, height: int) -> Bool[Array, " count"]:
-        """Which of them are in a picture: the last device's may be beyond it."""
+        """Returns the mask of the rows inside a picture of `height` rows.
+
+        The block of the last device may extend beyond the picture.
+        """
         return self.first + jnp.arange(self.count, dtype=jnp.int32) < height
 
     def with_neighbours(
-        self, plane: Shaped[Array, "count width"]
+        self, block: Shaped[Array, "count width"]
     ) -> Shaped[Array, "count+2 width"]:
-        """A plane with the rows above and below, which are 0 or no where there are none."""
+        """Pads the block by the rows above and below (halo exchange).
+
+        Beyond the first and the last device the padding is 0 or False.
+        """
         if not self.axes:
-            return jnp.pad(plane, ((1, 1), (0, 0)))
+            return jnp.pad(block, ((1, 1), (0, 0)))
         down = [(k, k + 1) for k in range(lax.axis_size(self.axes) - 1)]
-        above = lax.ppermute(plane[-1:], self.axes, down)
-        below = lax.ppermute(plane[:1], self.axes, [(k, j) for j, k in down])
-        return jnp.concatenate([above, plane, below])
+        above = lax.ppermute(block[-1:], self.axes, down)
+        below = lax.ppermute(block[:1], self.axes, [(k, j) for j, k in down])
+        return jnp.concatenate([above, block, below])
 
 
 def rows_sharding(sharding: NamedSharding) -> NamedSharding:
-    """The same, checked, with a mesh on which the compiler looks after what is not said here.
+    """Checks that a sharding divides rows only, and returns it on a mesh of automatic axes.
 
-    **Raises:** `InputError` for shardings that divide other than rows.
+    The compiler chooses the sharding of everything else on that mesh.
+
+    **Raises:** `InputError` for shardings that divide other axes than rows.
     """
     if not isinstance(sharding, NamedSharding) or not isinstance(sharding.mesh, Mesh):
         raise InputError(
@@ -72,67 +80,68 @@ def rows_sharding(sharding: NamedSharding) -> NamedSharding:
 
 
 def rows_of_device(height: int, sharding: NamedSharding) -> Rows:
-    """The rows that each device computes, seen from there: as many on all of them."""
+    """Returns the block of rows of the current device: the same number of rows on every device."""
     return Rows(-(-height // _devices(sharding)), _axes(sharding))
 
 
 def _axes(sharding: NamedSharding) -> tuple[str, ...]:
-    """The axes of the mesh that rows lie on."""
+    """Returns the axes of the mesh along which rows are divided."""
     axes = sharding.spec[0]
     return axes if isinstance(axes, tuple) else (axes,)
 
 
 def _devices(sharding: NamedSharding) -> int:
-    """How many devices rows lie on."""
+    """Returns the number of devices among which rows are divided."""
     return math.prod(sharding.mesh.shape[axis] for axis in _axes(sharding))
 
 
 def on_devices(
-    function: Callable[[Whole, Own], T],
+    function: Callable[[Replicated, Sharded], T],
     sharding: NamedSharding,
-    whole: Whole,
-    own: Own = None,
+    replicated: Replicated,
+    sharded: Sharded = None,
     *,
     joined: bool = False,
 ) -> T:
-    """A function on each device.
+    """Runs `function(replicated, sharded)` on each device (`shard_map`).
 
-    **Arguments:** `function`: of `whole`, which all devices have, and of their part of `own`, whose
-    arrays lie by rows. `joined`: whether its value is the same on all of them.
+    **Arguments:** `replicated`: a pytree that every device holds in full. `sharded`: a pytree of
+    arrays whose rows are divided among the devices. `joined`: whether all devices return the same
+    value.
 
-    **Returns:** its value, or the values one after the other.
+    **Returns:** the common value if `joined`, else the devices' values, concatenated by rows.
     """
-    # unchecked: loops start with constants, the same everywhere, and end with a device's own values
+    # check_vma fails: loops start with replicated constants and end with values of one device
     return jax.shard_map(
         function,
         mesh=sharding.mesh,
         in_specs=(PartitionSpec(), sharding.spec),
         out_specs=PartitionSpec() if joined else sharding.spec,
         check_vma=False,
-    )(whole, own)
+    )(replicated, sharded)
 
 
 def padded(rows: Shaped[Array, "height ..."], sharding: NamedSharding) -> Shaped[Array, "all ..."]:
-    """Rows, and as many of 0 as devices have beyond them."""
-    beyond = -len(rows) % _devices(sharding)
-    return jnp.pad(rows, ((0, beyond), *[(0, 0)] * (rows.ndim - 1)))
+    """Pads by rows of 0 to a multiple of the number of devices."""
+    missing = -len(rows) % _devices(sharding)
+    return jnp.pad(rows, ((0, missing), *[(0, 0)] * (rows.ndim - 1)))
 
 
 def everywhere(values: T, sharding: NamedSharding | None) -> T:
-    """The same values, whole on each device; where there is one device, as they are."""
+    """Replicates values on all devices of the mesh; returns them as they are without sharding."""
     if sharding is None:
         return values
     return jax.device_put(values, NamedSharding(sharding.mesh, PartitionSpec()))
 
 
 def gathered(values: T) -> T:
-    """The same values; arrays of which other processes hold parts, whole and on the host."""
+    """Gathers arrays divided among several processes on the host; returns other values as is."""
 
-    def whole(x):
+    def gather(x):
         if not isinstance(x, jax.Array) or x.is_fully_addressable or x.is_fully_replicated:
             return x
         from jax.experimental.multihost_utils import process_allgather
 
         return process_allgather(x, tiled=True)
 
-    return jax.tree.map(whole, values)
+    return jax.tree.map(gather, values)

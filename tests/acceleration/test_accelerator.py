@@ -12,10 +12,11 @@ import spheretrace_jax as st
 from spheretrace_jax.acceleration.accelerator import build_accelerator
 from spheretrace_jax.base.vec import Vec, reflect, unit, vec
 from spheretrace_jax.scene.camera import Ray, pixel_rays
+from spheretrace_jax.scene.settings import render_settings
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
 from spheretrace_jax.tracing.tables import Hit, build_tables, surface_at
 
-lists_module = import_module("spheretrace_jax.acceleration.accelerator")
+accelerator_module = import_module("spheretrace_jax.acceleration.accelerator")
 render_module = import_module("spheretrace_jax.rendering.render")
 
 FAR, SIZE = (100.0, 500, 800), (50, 37)
@@ -76,8 +77,14 @@ SCENES = {
 NEEDS = st.Needs(planes=False)
 
 
+def accelerator(scene, bounces):
+    settings = render_settings(scene, *SIZE, bounces=bounces, needs=NEEDS)
+    spheres = scene.spheres
+    return build_accelerator(Vec(*spheres.center.T), spheres.radius, scene, settings)
+
+
 def by_lists(scene, of):
-    return of(scene, build_tables(scene).listed(build_accelerator(scene, SIZE, NEEDS, bounces=1)))
+    return of(scene, build_tables(scene).listed(accelerator(scene, bounces=1)))
 
 
 def plainly(scene, of):
@@ -108,9 +115,9 @@ def looked_at(scene, world):
 
 @pytest.fixture(autouse=True, scope="module")
 def lists_even_of_few():
-    few, lists_module.FEW = lists_module.FEW, 1
+    limit, accelerator_module.MAX_BRUTE_FORCE = accelerator_module.MAX_BRUTE_FORCE, 1
     yield
-    lists_module.FEW = few
+    accelerator_module.MAX_BRUTE_FORCE = limit
 
 
 look_by_lists = jax.jit(lambda scene: by_lists(scene, looked_at))
@@ -140,7 +147,7 @@ def picture(scene, **options):
 def without_lists(monkeypatch, function, *arguments):
     """What a function gives, compiled anew, where spheres are few."""
     with monkeypatch.context() as patch:
-        patch.setattr(lists_module, "FEW", COUNT)
+        patch.setattr(accelerator_module, "MAX_BRUTE_FORCE", COUNT)
         jax.clear_caches()
         value = function(*arguments)
     jax.clear_caches()
@@ -208,7 +215,7 @@ def test_compiling_does_not_depend_on_how_many_spheres_there_are():
 
 def test_a_light_that_has_no_list_is_looked_at_past_all_spheres():
     scene = cloud()
-    world = build_tables(scene).listed(build_accelerator(scene, SIZE, NEEDS, bounces=0))
+    world = build_tables(scene).listed(accelerator(scene, bounces=0))
     point = world.balls.center
     point = Vec(point.x, point.y, point.z + world.balls.radius)
     hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))

@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as some
 
 from spheretrace_jax.acceleration.binning import cluster
 from spheretrace_jax.acceleration.light_buffer import light_projection
-from spheretrace_jax.acceleration.screen_tiles import TILE, tangents, tiles, untiled
+from spheretrace_jax.acceleration.screen_tiles import TILE, from_tiles, tangent_slopes, to_tiles
 from spheretrace_jax.base.vec import Vec, vec
 
 length = some.floats(-100, 100, width=32)
@@ -15,7 +15,7 @@ length = some.floats(-100, 100, width=32)
 @settings(max_examples=300, deadline=None)
 @given(length, length, some.floats(2**-10, 100, width=32), some.floats(0, 1), some.floats(0, 6.3))
 def test_whatever_of_a_circle_is_ahead_is_within_its_tangents(x, z, radius, part, angle):
-    low, high = tangents(jnp.asarray(x), jnp.asarray(z), jnp.asarray(radius))
+    low, high = tangent_slopes(jnp.asarray(x), jnp.asarray(z), jnp.asarray(radius))
     at_x, at_z = x + radius * part * np.sin(angle), z + radius * part * np.cos(angle)
     if at_z > 1e-6:
         slope = at_x / at_z
@@ -36,15 +36,15 @@ def test_whatever_of_a_circle_is_ahead_is_within_its_tangents(x, z, radius, part
     ],
 )
 def test_tangents_of_the_unit_circle(x, z, expected):
-    found = tangents(jnp.asarray(x), jnp.asarray(z), jnp.asarray(1.0))
+    found = tangent_slopes(jnp.asarray(x), jnp.asarray(z), jnp.asarray(1.0))
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("shape", [(TILE, TILE), (3 * TILE, 2 * TILE), (13, 50), (1, 1)])
 def test_tiles_hold_every_pixel_once(shape):
     plane = jnp.arange(float(np.prod(shape))).reshape(shape)
-    assert tiles(plane).shape == (-(-shape[0] // TILE) * -(-shape[1] // TILE), TILE**2)
-    np.testing.assert_array_equal(untiled(tiles(plane), shape), plane)
+    assert to_tiles(plane).shape == (-(-shape[0] // TILE) * -(-shape[1] // TILE), TILE**2)
+    np.testing.assert_array_equal(from_tiles(to_tiles(plane), shape), plane)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
@@ -65,8 +65,9 @@ def test_every_ray_that_meets_a_sphere_is_in_its_box(light, dtype):
     radius, light = jnp.asarray(radius, dtype), vec(jnp.asarray(light, dtype))
 
     def places():
-        chart = light_projection(light, n, cluster(center, radius))
-        return chart.layout(center, radius), chart.places(point), chart.cells
+        projection = light_projection(light, n, cluster(center, radius))
+        bounds = projection.bounds(center, radius)
+        return bounds, projection.cell_position(point), projection.cells
 
     box, place, cells = jax.jit(places)()
     for low, x, high in zip(box.low[:2], place, box.high[:2], strict=True):

@@ -111,7 +111,7 @@ def test_a_folder_that_goes_away_meanwhile_is_named(command, folder, monkeypatch
     words, (name,) = WRITING[command]
     words = tuple(f"gone/{name}" if word == name else word for word in words)
     Path("gone").mkdir(exist_ok=True)
-    check = atomic.check_place
+    check = atomic.check_target
 
     def checked(path) -> None:
         """At the last moment there is still a folder."""
@@ -119,7 +119,7 @@ def test_a_folder_that_goes_away_meanwhile_is_named(command, folder, monkeypatch
         if sys._getframe(1).f_code.co_name == "replacing":
             Path("gone").rmdir()
 
-    monkeypatch.setattr(atomic, "check_place", checked)
+    monkeypatch.setattr(atomic, "check_target", checked)
     refused(words, f"gone/{name}: No such file or directory")
 
 

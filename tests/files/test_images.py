@@ -1,5 +1,6 @@
 """Pictures: what is written is read again, what cannot be is refused, no file is half written."""
 
+import dataclasses
 import os
 import struct
 import subprocess
@@ -526,7 +527,8 @@ def test_a_picture_that_the_library_refuses_keeps_the_old_one(tmp_path, monkeypa
     file = tmp_path / "a.png"
     st.write_image(file, noise())
     before = file.read_bytes()
-    monkeypatch.setitem(images._WRITING, ".png", {"oiio:dummy": 1})
+    changed = dataclasses.replace(images.PICTURE_FORMATS[".png"], attributes={"oiio:dummy": 1})
+    monkeypatch.setitem(images.PICTURE_FORMATS, ".png", changed)
     monkeypatch.setattr(oiio.ImageOutput, "write_image", lambda *_: False)
     with pytest.raises(st.PictureError, match=r"a\.png: cannot be written: "):
         st.write_image(file, noise(6, 6))

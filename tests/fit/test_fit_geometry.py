@@ -24,7 +24,6 @@ from spheretrace_jax.rendering.render import draw
 from spheretrace_jax.scene.camera import view_frame
 from spheretrace_jax.scene.settings import render_settings
 
-
 SPHERES = ("center", "radius")
 CAMERA = ("theta", "phi", "mu", "distance")
 SMALL = dict(width=48, height=48)

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 
 from ...base.vec import vec
-from ...rendering.render import rays_through, sample_places
+from ...rendering.samples import sample_positions, sample_rays
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
+from ...tracing.context import build_context
 from ...tracing.queries import closest_hit, light_visible
 from ...tracing.shading import lambert, toward_light
-from ...tracing.tables import build_tables, surface_at
+from ...tracing.surface import surface_at
 from ...xla.jit import compiled
 from ..problem.labels import picture_suffix, unknown_indices
 from ..problem.problem import Problem
@@ -103,12 +104,12 @@ class Evidence:
 def _shown(
     scene: Scene, settings: RenderSettings, weight: Float[Array, "height width 3"]
 ) -> VisibleObjects:
-    world, needs = build_tables(scene), settings.needs
+    context = build_context(scene, settings, accelerated=False)
     pixels = jnp.arange(settings.width * settings.height, dtype=jnp.int32)
-    places = sample_places(scene, settings)
-    ray = rays_through(scene, settings, pixels, places[0][0], places[1][0])
-    hit = closest_hit(world, ray, needs)
-    surface = surface_at(world, ray, hit, needs)
+    left, top = sample_positions(scene, settings)
+    ray = sample_rays(scene, settings, pixels, left[0], top[0])
+    hit = closest_hit(context, ray)
+    surface = surface_at(context, ray, hit)
     some = hit.id >= 0
     counts = some & jnp.any(weight > 0, axis=-1).reshape(-1)
     any_of = lambda mask: jnp.full(scene.objects, False).at[hit.id].max(mask, mode="drop")
@@ -116,7 +117,7 @@ def _shown(
         any_of(
             counts
             & (lambert(surface, toward_light(surface, vec(light))) > 0)
-            & light_visible(world, surface.point, hit, vec(light), needs)
+            & light_visible(context, surface.point, hit, vec(light))
         )
         for light in scene.lights.position
     ]

@@ -1,8 +1,8 @@
-"""What pixels see and the rows of the picture's Jacobian, a few at a time, from its own code.
+"""Rows of a picture's Jacobian, a few pixels at a time, from the picture's own code.
 
-Each pixel is given tables of its own (`world.Own`) and lights of its own, by which the reverse pass
-differentiates, once per channel. The camera, on which every pixel depends through few numbers, is
-differentiated forwards.
+Each pixel is given tables of its own (`tables.PixelTables`) and lights of its own, by which the
+reverse pass differentiates, once per channel. The camera, on which every pixel depends through few
+numbers, is differentiated forwards.
 """
 
 from collections.abc import Callable
@@ -14,92 +14,87 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...base.vec import Vec
-from ...scene.scene import Scene
-from ...tracing.tables import PixelTables, SceneTables, build_tables
+from ...tracing.context import TraceContext
+from ...tracing.tables import PixelTables
 from ..model.parameters import CAMERA, LIGHTS, SPHERES
 from .parameter_index import ParameterIndex
 
 Rows = Float[Array, "columns 3 pixels"]
 
 ColorAndRows = tuple[Float[Array, "3 pixels"], Callable[[Float[Array, "3 pixels"]], Rows]]
-"""What some pixels see, and from slopes the rows of its Jacobian times these."""
+"""The colours of some pixels, and a function from slopes to the rows of J times these slopes."""
 
-#: Where the spheres' parameters are in the tables that pixels have of their own.
-TABLE_COLUMNS = {
-    "color": lambda own: own.materials.color,
-    "ka": lambda own: own.materials.ka,
-    "kd": lambda own: own.materials.kd,
-    "ks": lambda own: own.materials.ks,
-    "exponent": lambda own: own.materials.exponent,
-    "kgr": lambda own: own.materials.kgr,
-    "kt": lambda own: own.materials.kt,
-    "center": lambda own: own.balls.center,
-    "radius": lambda own: own.balls.radius,
-}
-assert set(TABLE_COLUMNS) == set(SPHERES)
+See = Callable[[TraceContext], Vec]
+"""From a context to the colours of some pixels, each channel of shape `(pixels,)`."""
+
+
+def table_column(name: str) -> Callable[[PixelTables], Array | Vec]:
+    """Returns the accessor of a sphere's parameter in tables of a pixel's own."""
+    if name in ("center", "radius"):
+        return lambda tables: getattr(tables.spheres, name)
+    return lambda tables: getattr(tables.materials, name)
+
+
+#: The accessors of all parameters that spheres have.
+TABLE_COLUMNS = {name: table_column(name) for name in SPHERES}
 
 
 def color_and_rows(
-    see: Callable[[Scene, SceneTables], Vec],
-    scene: Scene,
-    world: SceneTables,
-    own: PixelTables,
-    layout: ParameterIndex,
-    count: int,
+    see: See, context: TraceContext, tables: PixelTables, index: ParameterIndex, count: int
 ) -> ColorAndRows:
-    """What some pixels see, and a function to its derivatives by what is free.
+    """Returns the colours of some pixels, and a function to their derivatives by what is free.
 
-    **Arguments:** `see`: from a scene to the colours, planes of shape `(pixels,)`. `own`: the
-    objects that pixels may show, of shape `(objects,)`. `count`: how many pixels.
+    **Arguments:** `tables`: the objects that pixels may show, of shape `(objects,)`. `count`: the
+    number of pixels.
 
     **Returns:** the colours, and a function from a slope for each channel to the derivatives times
-    that: columns for the spheres' parameters, in the layout's order of names, row by row of `own`,
-    then those of the lights and the camera.
+    that slope: columns for the spheres' parameters, in the index's order of names, row by row of
+    `tables`, then those of the lights and the camera.
     """
     spread = lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count))
-    own = jax.tree.map(spread, own)
-    at_own = lambda own: [TABLE_COLUMNS[name](own) for name in layout.spheres]
-    at_lights = lambda scene: [LIGHTS[name](scene) for name in layout.lights]
+    tables = jax.tree.map(spread, tables)
+    at_columns = lambda tables: [TABLE_COLUMNS[name](tables) for name in index.spheres]
+    at_lights = lambda scene: [LIGHTS[name](scene) for name in index.lights]
 
     def reverse(columns: list, lights: list) -> Vec:
-        scene_, world_ = scene, world
+        moved = context
         if columns:
-            own_ = eqx.tree_at(at_own, own, columns)
-            world_ = world.with_own(own_)
+            moved = moved.with_pixel_tables(eqx.tree_at(at_columns, tables, columns))
         if lights:
-            scene_ = eqx.tree_at(at_lights, scene, lights)
-        return see(scene_, world_)
+            scene = eqx.tree_at(at_lights, context.scene, lights)
+            moved = moved.with_lights(scene.lights)
+        return see(moved)
 
-    lights = [spread(light) for light in at_lights(scene)]
-    color, pull = jax.vjp(reverse, at_own(own), lights)
+    lights = [spread(light) for light in at_lights(context.scene)]
+    color, pull = jax.vjp(reverse, at_columns(tables), lights)
 
     def rows(slope: Float[Array, "3 pixels"]) -> Rows:
         seeds = [jnp.zeros_like(slope).at[c].set(slope[c]) for c in range(3)]
         # one channel after the other where much is kept, all at once where little is: the other
         # way they take half as long again in both cases
-        each = jax.vmap(pull) if own.balls.radius.shape[0] == 1 else partial(jax.lax.map, pull)
+        one_object = tables.spheres.radius.shape[0] == 1
+        each = jax.vmap(pull) if one_object else partial(jax.lax.map, pull)
         columns, lights = each(Vec(*seeds))
         columns, lights = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2), (columns, lights))
         # of colours and centres the three parts side by side; planes have no free parameters
-        parts = [jnp.stack(jax.tree.leaves(c), axis=1)[: len(scene.spheres)] for c in columns]
+        n = len(context.scene.spheres)
+        parts = [jnp.stack(jax.tree.leaves(c), axis=1)[:n] for c in columns]
         parts = [part.reshape(-1, 3, count) for part in (*parts, *lights)]
-        if layout.camera:
-            parts.append(_by_camera(see, scene, layout) * slope[None])
+        if index.camera:
+            parts.append(_by_camera(see, context, index) * slope[None])
         return jnp.concatenate([jnp.zeros((0, *slope.shape), slope.dtype), *parts])
 
     return jnp.stack([color.x, color.y, color.z]), rows
 
 
-def _by_camera(
-    see: Callable[[Scene, SceneTables], Vec], scene: Scene, layout: ParameterIndex
-) -> Rows:
-    """The derivatives by what is free of the camera."""
-    at_camera = lambda scene: [CAMERA[name](scene) for name in layout.camera]
+def _by_camera(see: See, context: TraceContext, index: ParameterIndex) -> Rows:
+    """Returns the derivatives by what is free of the camera."""
+    scene = context.scene
+    at_camera = lambda scene: [CAMERA[name](scene) for name in index.camera]
 
     def forward(values: list) -> Vec:
-        scene_ = eqx.tree_at(at_camera, scene, values)
-        return see(scene_, build_tables(scene_))
+        return see(context.of_scene(eqx.tree_at(at_camera, scene, values)))
 
     _, push = jax.linearize(forward, at_camera(scene))
-    moved = jax.vmap(push)(list(jnp.eye(len(layout.camera), dtype=scene.dtype)))
+    moved = jax.vmap(push)(list(jnp.eye(len(index.camera), dtype=scene.dtype)))
     return jnp.stack([moved.x, moved.y, moved.z], axis=1)

@@ -2,7 +2,7 @@
 
 Most pixels show one object: their rows of J have that object's columns and those of the lights and
 the camera, whatever the number of spheres. They are summed object by object. Only pixels that show
-several, at edges and in mirrors, have columns for every object.
+several objects, at edges and in mirrors, have columns for every object.
 """
 
 from collections.abc import Callable
@@ -12,27 +12,25 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ...base.types import Ids, Index, Mask
 from ...base.vec import Vec, zeros
-from ...rendering.render import (
-    area_seen,
-    bend_part,
-    point_seen,
-    rays_through,
-    sample_places,
-    sampled,
-    smooth_beside,
+from ...rendering.pixel_filter import NEIGHBOURS, filter_weights
+from ...rendering.samples import (
+    area_radiance,
+    point_radiance,
+    render_samples,
+    sample_positions,
+    sample_rays,
 )
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
+from ...tracing.context import TraceContext, build_context
 from ...tracing.material import background_color
-from ...tracing.path import Path, shade_path
+from ...tracing.path import first_path, shade_path
 from ...tracing.queries import known_hit
-from ...tracing.tables import SceneTables, build_tables
 from ...xla.compaction import prefix_sum
 from ...xla.sharding import on_devices, padded
 from ..model.target import Target
@@ -48,19 +46,16 @@ T = TypeVar("T")
 # 256 x 256 takes 77 ms, of its 51 x 51 boxes 23; with 4096 and 2048 125 and 100.
 MOST_ALONE, MOST_MIXED = 1 << 10, 1 << 8
 
-# Chunks of `MOST` pixels of one object are looked at so many side by side where there are moments
-# of them: loops over 4096 pixels alone are run by one thread.
-BESIDE = 8
+# Chunks of `MOST` pixels of one object are looked at so many side by side where the Gram matrix of
+# their shading is summed: loops over 4096 pixels alone are run by one thread.
+CHUNKS_ABREAST = 8
 
-# Of pixels that show several objects no more than have a part of the Jacobian of so many numbers,
-# 12 MB in float64.
+# Chunks of pixels that show several objects are as small as their part of the Jacobian has no more
+# than so many numbers, 12 MB in float64.
 MOST_NUMBERS = 1 << 19
 
-# A pixel and its neighbours left, right, above and below: how far to the right, and down.
-_BESIDE = (0, -1, 1, 0, 0), (0, 0, 0, -1, 1)
-
 Look = Callable[..., Vec]
-"""What pixels see: of a scene, its world, pixels, which of them count, and a place in them."""
+"""From a context, pixels, which of them count, and a position in them to the colours seen."""
 
 
 class NormalEquations(eqx.Module):
@@ -77,7 +72,7 @@ class NormalEquations(eqx.Module):
         gradient: Float[Array, " columns"],
         cost: Float[Array, ""],
     ) -> "NormalEquations":
-        """With a part added of some of the free parameters; those out of bounds are none."""
+        """Adds a part by some of the free parameters; columns out of bounds are none."""
         at = columns[:, None], columns[None, :]
         return NormalEquations(
             self.square.at[at].add(square, mode="drop"),
@@ -90,73 +85,77 @@ def normal_equations(
     scene: Scene,
     exposure: Float[Array, " 3"],
     target: Target,
-    layout: ParameterIndex,
+    index: ParameterIndex,
     settings: RenderSettings,
-    lists: PixelBuckets | None = None,
+    buckets: PixelBuckets | None = None,
 ) -> NormalEquations:
-    """J^T J, J^T r and the cost in one pass over the picture, by the free parameters themselves.
+    """Sums J^T J, J^T r and the cost in one pass over the picture, by the free parameters.
 
-    **Arguments:** `exposure`: what the picture is multiplied by, per channel. `layout`: which
-    parameters are free and their order. `lists`: what pixels show, if it is known; by device.
+    **Arguments:** `exposure`: what the picture is multiplied by, per channel. `index`: which
+    parameters are free and their order. `buckets`: what pixels show, if it is known; by device.
     """
     if settings.sharding is None:
-        return _of_rows(scene, exposure, target, layout, settings, lists)
+        return _of_rows(scene, exposure, target, index, settings, buckets)
 
-    def own(whole: tuple, own: tuple) -> NormalEquations:
-        (scene, exposure, noise, part), (image, weight, lists) = whole, own
-        mine = Target(image, weight, noise, target.loss)
-        return lax.psum(_of_rows(scene, exposure, mine, layout, part, lists), part.rows.axes)
+    def of_device(whole: tuple, rows: tuple) -> NormalEquations:
+        (scene, exposure, noise, settings), (image, weight, buckets) = whole, rows
+        target_ = Target(image, weight, noise, target.loss)
+        found = _of_rows(scene, exposure, target_, index, settings, buckets)
+        return lax.psum(found, settings.rows.axes)
 
     whole = scene, exposure, target.noise, settings.of_device
     # rows beyond the picture weigh nothing
     image, weight = (padded(x, settings.sharding) for x in (target.image, target.weight))
-    return on_devices(own, settings.sharding, whole, (image, weight, lists), joined=True)
+    rows = image, weight, buckets
+    return on_devices(of_device, settings.sharding, whole, rows, joined=True)
 
 
 def _of_rows(
     scene: Scene,
     exposure: Float[Array, " 3"],
     target: Target,
-    layout: ParameterIndex,
+    index: ParameterIndex,
     settings: RenderSettings,
-    lists: PixelBuckets | None,
+    buckets: PixelBuckets | None,
 ) -> NormalEquations:
-    """The part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
-    world = build_tables(scene)
-    edge = sampled(scene, settings)[1] if settings.antialias else None
-    if lists is None:
-        lists = bucket_pixels(scene, layout, settings, target.counts, edge)
-    weights = None if edge is None else _weights(edge, settings, scene.dtype)
-    picture = _Picture(scene, world, target, exposure, lists, weights, layout, settings)
-    n, dtype = layout.size, scene.dtype
+    """Sums the part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
+    context = build_context(scene, settings, accelerated=settings.antialias)
+    edge = render_samples(context)[1] if settings.antialias else None
+    context = context.unaccelerated()
+    if buckets is None:
+        buckets = bucket_pixels(context, index, target.counts, edge)
+    weights = None if edge is None else filter_weights(edge, settings, scene.dtype)
+    picture = _Picture(context, target, exposure, buckets, weights, index)
+    n, dtype = index.size, scene.dtype
     normal = NormalEquations(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype))
     normal = _add_single(_add_still(normal, picture), picture)
     if settings.bounces or (settings.samples > 1 and not settings.antialias):
-        normal = _add_mixed(normal, picture, SEVERAL, partial(picture.near, _through(settings)))
+        normal = _add_mixed(normal, picture, SEVERAL, partial(picture.near, _look_by_ray))
     if settings.antialias:
-        normal = _add_mixed(normal, picture, EDGE, partial(_mean, _over(settings), settings))
+        normal = _add_mixed(normal, picture, EDGE, partial(_mean, area_radiance))
     return normal
 
 
 class _Picture(eqx.Module):
-    """A scene's picture and its target, list by list."""
+    """A scene's picture and its target, bucket by bucket."""
 
-    scene: Scene
-    world: SceneTables
+    context: TraceContext
     target: Target
     exposure: Float[Array, " 3"]
-    lists: PixelBuckets
-    weights: Float[Array, "5 pixels"] | None  #: of `_BESIDE`; None for pixels that are points
-    layout: ParameterIndex = eqx.field(static=True)
-    settings: RenderSettings
+    buckets: PixelBuckets
+    weights: Float[Array, "5 pixels"] | None  #: of `NEIGHBOURS`; None for pixels that are points
+    index: ParameterIndex = eqx.field(static=True)
 
-    def near(self, look: Look, scene: Scene, world: SceneTables, pixels: Ids, alive: Mask) -> Vec:
-        """The mean of some pixels and, as `render.averaged` says, a little of their neighbours."""
-        mean = partial(_mean, look, self.settings, scene, world, pixels, alive)
+    def near(self, look: Look, context: TraceContext, pixels: Ids, alive: Mask) -> Vec:
+        """Returns the mean of some pixels and, by the pixel filter, a little of their neighbours.
+
+        Says the same as `pixel_filter.filter_pixels`.
+        """
+        mean = partial(_mean, look, context, pixels, alive)
         if self.weights is None:
             return mean()
-        beside = (*jnp.asarray(_BESIDE, scene.dtype), self.weights[:, pixels])
-        return _sum(lambda x: mean((x[0], x[1])) * x[2], beside)
+        neighbours = (*jnp.asarray(NEIGHBOURS, context.dtype), self.weights[:, pixels])
+        return _sum(lambda x: mean((x[0], x[1])) * x[2], neighbours)
 
     def add(
         self,
@@ -166,20 +165,20 @@ class _Picture(eqx.Module):
         look: Callable[[Ids, Mask], ColorAndRows],
         count: int,
     ) -> NormalEquations:
-        """Adds the part of the pixels of one list, `count` at a time.
+        """Adds the part of the pixels of one bucket, `count` at a time.
 
         **Arguments:** `columns`: which of the free parameters the rows are of; out of bounds: none.
         `look`: for some pixels, of which some count.
         """
 
-        def some(
+        def add_chunk(
             normal: NormalEquations, pixels: Ids, alive: Mask, target: Target
         ) -> NormalEquations:
             seen, rows = look(pixels, alive)
             residual = target.residual(seen.T[None], self.exposure)[0].T
             by_picture, by_exposure = target.slopes(seen.T[None], self.exposure)
             parts = [rows(by_picture[0].T)]
-            if self.layout.exposure is not None:
+            if self.index.exposure is not None:
                 parts.append(jnp.eye(3, dtype=seen.dtype)[:, :, None] * by_exposure[0].T[None])
             # with the residual as one more column all products are one
             both = jnp.concatenate([*parts, residual[None]])
@@ -188,31 +187,31 @@ class _Picture(eqx.Module):
             square, gradient = products[:-1, :-1], products[:-1, -1]
             return normal.plus(columns, square, gradient, products[-1, -1] / 2)
 
-        return self.over(label, some, normal, count)
+        return self.fold(label, add_chunk, normal, count)
 
-    def over(
-        self, label: Index, some: Callable[[T, Ids, Mask, Target], T], start: T, count: int
+    def fold(
+        self, label: Index, step: Callable[[T, Ids, Mask, Target], T], start: T, count: int
     ) -> T:
-        """What a loop over a list's pixels comes to, `count` at a time.
+        """Folds `step` over a bucket's pixels, `count` at a time.
 
-        **Arguments:** `some`: from what it came to so far, pixels, which of them count, and their
-        part of the target, of shape `(1, count, 3)`.
+        **Arguments:** `step`: from the state so far, pixels, which of them count, and their part of
+        the target, of shape `(1, count, 3)`, to the next state.
         """
-        begin, end = self.lists.bounds(label)
+        begin, end = self.buckets.bounds(label)
         numbers = jnp.arange(count, dtype=jnp.int32)
 
         def body(k: Index, state: T) -> T:
             first = begin + k * count
             alive = first + numbers < end
-            pixels = lax.dynamic_slice(self.lists.order, (first,), (count,))
-            return some(state, pixels, alive, self.target_at(pixels[None], alive[None]))
+            pixels = lax.dynamic_slice(self.buckets.order, (first,), (count,))
+            return step(state, pixels, alive, self.target_at(pixels[None], alive[None]))
 
         return lax.fori_loop(0, -((begin - end) // count), body, start)
 
     def target_at(
         self, pixels: Int[Array, "rows count"], alive: Bool[Array, "rows count"]
     ) -> Target:
-        """The part of the target of some pixels, of which some count."""
+        """Returns the part of the target of some pixels, of which some count."""
         take = lambda x: x.reshape(-1, 3).at[pixels].get(mode="promise_in_bounds")
         weight = jnp.where(alive[..., None], take(self.target.weight), 0)
         return Target(take(self.target.image), weight, self.target.noise, self.target.loss)
@@ -220,79 +219,66 @@ class _Picture(eqx.Module):
 
 def _add_still(normal: NormalEquations, picture: _Picture) -> NormalEquations:
     """Adds the background that does not move."""
-    settings = picture.settings
-
-    def sky(scene: Scene, world: SceneTables, pixels: Ids, alive: Mask, *at: Array) -> Vec:
-        black = zeros(pixels.shape, scene.dtype)
-        if not settings.needs.background:
-            return black
-        return black + background_color(scene, rays_through(scene, settings, pixels, *at).direction)
 
     def seen(pixels: Ids, alive: Mask) -> Float[Array, "3 pixels"]:
-        color = picture.near(sky, picture.scene, picture.world, pixels, alive)
+        color = picture.near(_look_at_sky, picture.context, pixels, alive)
         return jnp.stack([color.x, color.y, color.z])
 
-    def squared(squares: Array, pixels: Ids, alive: Mask, target: Target) -> Array:
+    def add_squares(squares: Array, pixels: Ids, alive: Mask, target: Target) -> Array:
         return squares + target.residual(seen(pixels, alive).T[None], picture.exposure) ** 2
 
-    if picture.layout.exposure is None:
-        # added up place by place, and only then all: 9.4 ms, where 10.3 if chunk by chunk
-        start = jnp.zeros((1, MOST, 3), picture.scene.dtype)
-        cost = jnp.sum(picture.over(STILL, squared, start, MOST)) / 2
+    if picture.index.exposure is None:
+        # added up pixel by pixel of a chunk, and only then all (9.4 ms, not 10.3)
+        start = jnp.zeros((1, MOST, 3), picture.context.dtype)
+        cost = jnp.sum(picture.fold(STILL, add_squares, start, MOST)) / 2
         return eqx.tree_at(lambda n: n.cost, normal, normal.cost + cost)
     none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
     look = lambda pixels, alive: (seen(pixels, alive), none)
-    return picture.add(normal, STILL, jnp.asarray(picture.layout.exposure), look, MOST)
+    return picture.add(normal, STILL, jnp.asarray(picture.index.exposure), look, MOST)
 
 
 def _add_single(normal: NormalEquations, picture: _Picture) -> NormalEquations:
     """Adds the pixels that show one object each, object by object."""
-    world, layout, settings = picture.world, picture.layout, picture.settings
-    if uses_gram(layout, settings, len(picture.scene.lights)):
-        return _add_moments(normal, picture)
-    objects = world.spheres + world.planes
+    context, index = picture.context, picture.index
+    if uses_gram(index, context.settings, len(context.scene.lights)):
+        return _add_gram(normal, picture)
+    tables = context.tables
 
-    def object_(number: Int[Array, ""], normal: NormalEquations) -> NormalEquations:
-        own = world.tables.row(number)
-        id_ = jnp.where(number < objects, number, -1).astype(world.id_type)
-
-        def surface(scene: Scene, world: SceneTables, pixels: Ids, alive: Mask, *at: Array) -> Vec:
-            ray = rays_through(scene, settings, pixels, *at)
-            hit = known_hit(world, ray, jnp.broadcast_to(id_, pixels.shape), settings.needs)
-            path = Path(ray, hit, jnp.ones(pixels.shape, scene.dtype), alive, None)
-            return shade_path(scene, world, path, settings)
+    def add_object(number: Int[Array, ""], normal: NormalEquations) -> NormalEquations:
+        row = tables.shared.row(number)
+        id_ = jnp.where(number < tables.object_count, number, -1).astype(tables.id_type)
 
         def look(pixels: Ids, alive: Mask) -> ColorAndRows:
-            see = partial(picture.near, surface, pixels=pixels, alive=alive)
-            return color_and_rows(see, picture.scene, world, own, layout, pixels.size)
+            see = partial(picture.near, partial(_look_at_object, id_), pixels=pixels, alive=alive)
+            return color_and_rows(see, context, row, index, pixels.size)
 
-        return picture.add(normal, number, jnp.asarray(layout.each)[number], look, MOST_ALONE)
+        return picture.add(normal, number, jnp.asarray(index.each)[number], look, MOST_ALONE)
 
-    return lax.fori_loop(0, len(layout.each), object_, normal)
+    return lax.fori_loop(0, len(index.each), add_object, normal)
 
 
-def _add_moments(normal: NormalEquations, picture: _Picture) -> NormalEquations:
-    """The same where moments of the shading do, for chunks of several objects side by side."""
-    scene, world, layout = picture.scene, picture.world, picture.layout
-    count = len(layout.each) - 1
-    begin, end = picture.lists.bounds(jnp.arange(count, dtype=jnp.int32))
+def _add_gram(normal: NormalEquations, picture: _Picture) -> NormalEquations:
+    """Adds the same by Gram matrices of the shading, for chunks of several objects side by side."""
+    context, index, buckets = picture.context, picture.index, picture.buckets
+    count = len(index.each) - 1
+    begin, end = buckets.bounds(jnp.arange(count, dtype=jnp.int32))
     chunks = -((begin - end) // MOST)
     ends = prefix_sum(chunks)
     # of small pictures fewer, or the last of them are mostly empty
-    beside = max(1, min(BESIDE, picture.lists.order.size // (8 * MOST)))
-    shading = lambda number: LinearShading(scene, world, number, picture.settings, layout)
+    abreast = max(1, min(CHUNKS_ABREAST, buckets.order.size // (8 * MOST)))
+    shading = lambda number: LinearShading(context, number, index)
 
-    def some(k: Index, sums: Gram) -> Gram:
-        chunk = k * beside + jnp.arange(beside, dtype=jnp.int32)
+    def add_chunks(k: Index, sums: Gram) -> Gram:
+        chunk = k * abreast + jnp.arange(abreast, dtype=jnp.int32)
         number = jnp.searchsorted(ends, chunk, side="right").astype(jnp.int32)
         number = jnp.minimum(number, count - 1)
         first = begin[number] + (chunk - (ends - chunks)[number]) * MOST
         place = first[:, None] + jnp.arange(MOST, dtype=jnp.int32)[None]
-        pixels = picture.lists.order.at[place].get(mode="clip")
+        pixels = buckets.order.at[place].get(mode="clip")
         target = picture.target_at(pixels, place < end[number][:, None])
         basis = shading(number).basis(pixels)
         factors = jax.vmap(lambda number: shading(number).factors())(number)
-        # term by term: for a product of matrices, and channel by channel for `moments`, all of it
+        # term by term: for a product of matrices, and channel by channel for `gram`, all of it
         # would be copied (10.3 ms, not 11.3)
         first, *terms = (
             basis[:, k, :, None] * factors[:, None, :, k] for k in range(factors.shape[2])
@@ -303,14 +289,14 @@ def _add_moments(normal: NormalEquations, picture: _Picture) -> NormalEquations:
         split = lambda x: [x[..., c] for c in range(3)]
         return sums.at[number].add(gram(basis, split(slope), split(residual)))
 
-    def object_(number: Index, normal: NormalEquations) -> NormalEquations:
+    def add_object(number: Index, normal: NormalEquations) -> NormalEquations:
         added = shading(number).by_columns(sums[number])
-        return normal.plus(jnp.asarray(layout.each)[number], *added)
+        return normal.plus(jnp.asarray(index.each)[number], *added)
 
     size = shading(jnp.int32(0)).size + 1
-    sums = jnp.zeros((count, 3, size, size), scene.dtype)
-    sums = lax.fori_loop(0, -(-ends[-1] // beside), some, sums)
-    return lax.fori_loop(0, count, object_, normal)
+    sums = jnp.zeros((count, 3, size, size), context.dtype)
+    sums = lax.fori_loop(0, -(-ends[-1] // abreast), add_chunks, sums)
+    return lax.fori_loop(0, count, add_object, normal)
 
 
 def _add_mixed(
@@ -318,59 +304,64 @@ def _add_mixed(
 ) -> NormalEquations:
     """Adds the pixels that show several objects, of one kind.
 
-    **Arguments:** `mean`: what they see.
+    **Arguments:** `mean`: from a context, pixels and which of them count to the colours seen.
     """
-    scene, world, layout = picture.scene, picture.world, picture.layout
+    context, index = picture.context, picture.index
 
     def look(pixels: Ids, alive: Mask) -> ColorAndRows:
         see = partial(mean, pixels=pixels, alive=alive)
-        return color_and_rows(see, scene, world, world.tables, layout, pixels.size)
+        return color_and_rows(see, context, context.tables.shared, index, pixels.size)
 
-    columns = jnp.asarray(layout.all)
+    columns = jnp.asarray(index.all)
     count = max(64, min(MOST_MIXED, MOST_NUMBERS // columns.size))
-    return picture.add(normal, len(layout.each) + kind, columns, look, count)
+    return picture.add(normal, len(index.each) + kind, columns, look, count)
 
 
-def _through(settings: RenderSettings) -> Look:
-    """What one ray sees."""
-    return lambda scene, world, pixels, alive, *at: point_seen(scene, world, settings, pixels, *at)
+def _look_by_ray(context: TraceContext, pixels: Ids, alive: Mask, *position: Array) -> Vec:
+    """Returns what one ray sees of pixels."""
+    del alive
+    return point_radiance(context, pixels, *position)
 
 
-def _over(settings: RenderSettings) -> Look:
-    """What a sample's area sees."""
-    return lambda scene, world, pixels, alive, *at: area_seen(
-        scene, world, settings, pixels, alive, *at
-    )
+def _look_at_sky(context: TraceContext, pixels: Ids, alive: Mask, *position: Array) -> Vec:
+    """Returns the background that pixels show."""
+    del alive
+    black = zeros(pixels.shape, context.dtype)
+    if not context.needs.background:
+        return black
+    ray = sample_rays(context.scene, context.settings, pixels, *position)
+    return black + background_color(context.scene, ray.direction)
+
+
+def _look_at_object(
+    id_: Int[Array, ""], context: TraceContext, pixels: Ids, alive: Mask, *position: Array
+) -> Vec:
+    """Returns what pixels see that are known to show one object."""
+    ray = sample_rays(context.scene, context.settings, pixels, *position)
+    hit = known_hit(context, ray, jnp.broadcast_to(id_, pixels.shape))
+    return shade_path(context, first_path(ray, hit, alive))
 
 
 def _mean(
     look: Look,
-    settings: RenderSettings,
-    scene: Scene,
-    world: SceneTables,
+    context: TraceContext,
     pixels: Ids,
     alive: Mask,
     shift: tuple[Array, Array] | None = None,
 ) -> Vec:
-    """The mean of some pixels' samples. **Arguments:** `shift`: how far beside them."""
-    left, top = sample_places(scene, settings)
+    """Returns the mean of some pixels' samples. **Arguments:** `shift`: how far beside them."""
+    left, top = sample_positions(context.scene, context.settings)
     if shift is not None:
         left, top = left + shift[0], top + shift[1]
-    see = lambda at: look(scene, world, pixels, alive, *at)
-    return _sum(see, (left, top)) * (1 / settings.samples**2)
+    see = lambda position: look(context, pixels, alive, *position)
+    return _sum(see, (left, top)) * (1 / context.settings.samples**2)
 
 
-def _sum(term: Callable[[Any], Vec], over: Any) -> Vec:
-    """The sum of a term over the rows of arrays."""
-    first = term(jax.tree.map(lambda x: x[0], over))
-    rest = jax.tree.map(lambda x: x[1:], over)
+def _sum(term: Callable[[Any], Vec], rows: Any) -> Vec:
+    """Sums a term over the rows of arrays."""
+    first = term(jax.tree.map(lambda x: x[0], rows))
+    rest = jax.tree.map(lambda x: x[1:], rows)
     if not jax.tree.leaves(rest)[0].size:
         return first
     add = lambda total, x: (total + term(x), None)
     return lax.scan(jax.checkpoint(add), first, rest)[0]
-
-
-def _weights(edge: Mask, settings: RenderSettings, dtype: np.dtype) -> Float[Array, "5 pixels"]:
-    """What a pixel and those of `_BESIDE` count in its mean."""
-    across, down = (bend_part(settings) * m.astype(dtype) for m in smooth_beside(edge, settings))
-    return jnp.stack([1 - 2 * across - 2 * down, across, across, down, down]).reshape(5, -1)

@@ -13,6 +13,7 @@ from ...base.types import Highlight
 from ...scene.needs import needs
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings, render_settings
+from ...tracing.context import build_context
 from ...xla.jit import compiled
 from ...xla.sharding import everywhere, gathered, on_devices
 from ..model.parameters import (
@@ -75,7 +76,10 @@ def make_problem(
         made = make_target(image, one.dtype, **{name: x[k] for name, x in of_pictures.items()})
         height, width, _ = made.image.shape
         needed = needs(one, free=[name for name in free if name != "exposure"])
-        chosen = render_settings(one, width, height, highlight, bounces, samples, needed, sharding)
+        chosen = render_settings(
+            one, width, height, highlight=highlight, bounces=bounces, samples=samples,
+            needs=needed, sharding=sharding,
+        )  # fmt: skip
         if chosen.antialias and not fixed:
             chosen = dataclasses.replace(chosen, box=jnp.ones((), one.dtype))
         settings.append(chosen)
@@ -94,8 +98,12 @@ def _buckets(scene: Scene, free: tuple[str, ...], settings: RenderSettings) -> P
     # of all pixels: the target of a problem may be replaced by one of which others count
     index = ParameterIndex(scene, free)
     if settings.sharding is None:
-        return bucket_pixels(scene, index, settings)
-    of_device = lambda scene, _: bucket_pixels(scene, index, settings.of_device)
+        return bucket_pixels(build_context(scene, settings, accelerated=False), index)
+
+    def of_device(scene: Scene, _: None) -> PixelBuckets:
+        context = build_context(scene, settings.of_device, accelerated=False)
+        return bucket_pixels(context, index)
+
     return on_devices(of_device, settings.sharding, scene)
 
 

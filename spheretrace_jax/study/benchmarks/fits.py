@@ -121,7 +121,7 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     size, free = settings.fit_size, ("color", "light_position")
     target = render(truth, width=size, height=size, bounces=0)
     settings.say("fit: ours, matt spheres")
-    known = uncertainty_at(truth, target, free, _NOISE, settings.highlight, 0)
+    known = uncertainty_at(truth, target, free, _NOISE, highlight=settings.highlight, bounces=0)
     seen = known.of(PRODUCTS["kd*color"]) < _KNOWN
     places = lambda s: [ACCESSORS[name](s) for name in free]
     start = eqx.tree_at(places, truth, places(displaced(truth)))

@@ -14,10 +14,10 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ...base.types import Picture
-from ...rendering.render import point_seen
+from ...rendering.samples import point_radiance
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
-from ...tracing.tables import build_tables
+from ...tracing.context import build_context
 
 
 def fibonacci(least: int) -> tuple[int, int]:
@@ -47,11 +47,11 @@ def reference_picture(settings: RenderSettings, rays: int) -> Callable[[Scene], 
     @jax.jit
     def picture(scene: Scene) -> Picture:
         scene = scene.with_antialias(0)
-        world = build_tables(scene)
+        context = build_context(scene, settings, accelerated=False)
 
         def add(total: Array, place: Array) -> tuple[Array, None]:
             left, top = place.astype(scene.dtype)
-            seen = point_seen(scene, world, settings, pixels, left, top)
+            seen = point_radiance(context, pixels, left, top)
             return total + jnp.stack([seen.x, seen.y, seen.z]), None
 
         total, _ = lax.scan(add, jnp.zeros((3, pixels.size), scene.dtype), places)

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...rendering.render import draw
+from ...scene.lights import Lights
 from ...scene.needs import needs
-from ...scene.scene import Lights, Scene, Spheres
+from ...scene.scene import Scene
 from ...scene.settings import RenderSettings, render_settings
+from ...scene.spheres import Spheres
 from .settings import Settings
 from .work_precision import Diagram, Point, Program, clock
 
@@ -46,7 +48,9 @@ def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
         runs: dict[tuple[str, int], Callable] = {}
         for n in numbers:
             one, width, depth = case(n)
-            program = render_settings(one, width, width, settings.highlight, depth)
+            program = render_settings(
+                one, width, width, highlight=settings.highlight, bounces=depth
+            )
             for work in ("picture", "gradient") if settings.thorough else ("picture",):
                 programs[work, n] = compiled(work, one, program)
                 runs[work, n] = partial(programs[work, n], one)

@@ -1,10 +1,10 @@
-"""`Condition`: what a scene's own picture would tell a fit of it, and how well."""
+"""`Condition`: the conditioning of a fit to a scene's own picture."""
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ...base.errors import InputError
@@ -21,37 +21,39 @@ from ...fit.problem.problem import normal_at
 from ...rendering.render import draw
 from ...scene.needs import Needs
 from ...scene.scene import Scene
-from ...scene.settings import render_settings
+from .settings import double_settings
 
-# Unknowns, which are of order one, that are known to no better than this are worth a word.
-_WORTH = 1e-2
+# Standard deviation from which an unknown counts as loosely determined, and is named in a warning.
+# Unknowns are of order one.
+_LOOSE = 1e-2
 
-# A condition number above this: float32 has no digits left for the smallest singular value.
-_BAD = 1e4
+# Largest condition number that counts as good. Above it, float32 has no digits left for the
+# smallest singular value.
+_LARGEST_CONDITION = 1e4
 
 
 @dataclasses.dataclass(frozen=True)
 class Condition:
-    """How well a scene's picture determines what is free. `print` shows it in words."""
+    """The conditioning of a scene's free parameters. `print` shows it in words."""
 
-    names: tuple[str, ...]  #: what is free
-    free: int  #: how many numbers that is
-    rank: int  #: how many independent combinations of them show
-    number: float  #: of J with columns of length 1, in the directions that show
-    undetermined: tuple[str, ...]  #: what does not show at all, a sentence for each reason
-    noise: float  #: the noise of the picture's numbers that the next is for
-    loose: dict[str, float]  #: the unknowns that would be known to 1e-2 of their size or worse
+    names: tuple[str, ...]  #: the free parameters
+    free: int  #: number of free unknowns
+    rank: int  #: number of independent combinations that the picture determines
+    number: float  #: condition number of J, its columns of length 1, in those combinations
+    undetermined: tuple[str, ...]  #: the undetermined unknowns, a sentence for each reason
+    noise: float  #: standard deviation of the picture's noise, for `loose`
+    loose: dict[str, float]  #: unknowns with deviations above 1e-2
 
     @property
     def ok(self) -> bool:
-        """Whether float32 would do for the fit."""
-        return self.number <= _BAD
+        """Tells whether float32 suffices for the fit."""
+        return self.number <= _LARGEST_CONDITION
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know, in words."""
+        """Returns the weaknesses of the fit, in words."""
         words = together(self.undetermined)
-        if self.number > _BAD:
+        if self.number > _LARGEST_CONDITION:
             words.append(
                 f"the fit's condition number is {self.number:.0e}: fit it in float64 "
                 "(--dtype float64)"
@@ -60,7 +62,7 @@ class Condition:
             worst = sorted(self.loose, key=lambda name: -self.loose[name])
             more = f" and {len(worst) - 5} more" if len(worst) > 5 else ""
             words.append(
-                f"at noise {self.noise:g} these would be known to no better than {_WORTH:g}:"
+                f"at noise {self.noise:g} these would be known to no better than {_LOOSE:g}:"
                 f"  {', '.join(worst[:5])}{more} "
                 f"({self.loose[worst[0]]:.1g} at worst)"
             )
@@ -86,17 +88,16 @@ def check_condition(
     needs: Needs | None = None,
     noise: float = 1e-3,
 ) -> Condition:
-    """What a fit to the scene's own picture determines at the scene itself, in float64.
+    """Computes what a fit to the scene's own picture determines at the scene itself, in float64.
 
-    Unless centers, radii or the camera are free, of a picture of single rays.
+    The picture is one of single rays, unless centers, radii or the camera are free.
 
-    **Arguments:** `free`: as for `fit`; by default its own, as far as the scene has them. `noise`:
-    of the picture's numbers. The others as for `render`.
+    **Arguments:** `free`: as for `fit`; by default those of `fit` that the scene has. `noise`: the
+    standard deviation of the picture's numbers. The other arguments are those of `render`.
 
-    **Raises:** `InputError` for unknown names, and if nothing can be free.
+    **Raises:** `InputError` for unknown names, and if the scene has no parameter to set free.
     """
     with jax.enable_x64(True):
-        scene = scene.astype(jnp.float64)
         if free is None:
             free = [name for name in DEFAULT_FREE if value(scene, name).size]
         if not free:
@@ -104,12 +105,10 @@ def check_condition(
         if not GEOMETRY & set(free):
             # edges say little of colours and lights; their Jacobian takes two minutes to compile
             scene = scene.with_antialias(0)
-        drawn = render_settings(scene, width, height, highlight, bounces, samples, needs)
-        picture = draw(scene, drawn)
-        uncertainty = uncertainty_at(
-            scene, picture, tuple(free), noise, highlight, bounces, samples
-        )
-        return _condition(uncertainty, tuple(free), noise)
+        drawn: dict[str, Any] = dict(highlight=highlight, bounces=bounces, samples=samples)
+        scene, settings = double_settings(scene, width, height, needs=needs, **drawn)
+        picture, names = draw(scene, settings), tuple(free)
+        return _condition(uncertainty_at(scene, picture, names, noise, **drawn), names, noise)
 
 
 def uncertainty_at(
@@ -117,19 +116,26 @@ def uncertainty_at(
     picture: Picture,
     free: tuple[str, ...],
     noise: float,
+    *,
     highlight: Highlight,
     bounces: int,
     samples: int = 1,
 ) -> Uncertainty:
-    """How well a scene's own picture determines it, with so much noise."""
+    """Estimates the uncertainty of a scene from its own picture.
+
+    **Arguments:** `free`: the free parameters. `noise`: the standard deviation of the picture's
+    numbers. The other arguments are those of `render`.
+    """
     problem = make_problem(
-        scene, picture, free, highlight=highlight, bounces=bounces, samples=samples, noise=noise
-    )
+        scene, picture, free, highlight=highlight, bounces=bounces, samples=samples,
+        noise=noise,
+    )  # fmt: skip
     values = problem.start()
     return estimate(problem, values, normal_at(problem, values), 1.0)
 
 
 def _condition(uncertainty: Uncertainty, free: tuple[str, ...], noise: float) -> Condition:
+    """Summarizes an uncertainty."""
     known = identify(uncertainty)
     shown = known.singular_values[: known.rank]
     return Condition(
@@ -144,8 +150,10 @@ def _condition(uncertainty: Uncertainty, free: tuple[str, ...], noise: float) ->
 
 
 def _loose(uncertainty: Uncertainty, free: set[str]) -> dict[str, float]:
-    """What is determined, but to no better than a hundredth: ka color and kd color together, as
-    their common scale never shows.
+    """Lists the loosely determined unknowns, with their standard deviations.
+
+    Products ka color and kd color count as one unknown each, as no picture determines their common
+    scale.
     """
     names, known = labels_of(uncertainty.problem), uncertainty.of_unknowns
     deviations = dict(zip(names.tolist(), known.tolist(), strict=True))
@@ -155,4 +163,4 @@ def _loose(uncertainty: Uncertainty, free: set[str]) -> dict[str, float]:
                 f"sphere {i + 1}'s {k} color": float(np.max(row))
                 for i, row in enumerate(uncertainty.of(PRODUCTS[f"{k}*color"]))
             }
-    return {name: x for name, x in deviations.items() if _WORTH < x < np.inf}
+    return {name: x for name, x in deviations.items() if _LOOSE < x < np.inf}

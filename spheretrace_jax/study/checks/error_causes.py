@@ -1,4 +1,4 @@
-"""`Why`: what makes a pixel's float32 differ from its float64."""
+"""Error causes: the reasons for which a pixel in float32 differs from float64."""
 
 import dataclasses
 from typing import Literal
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from ...rendering.render import sample_places
+from ...rendering.samples import sample_positions
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from .ray_log import RayRecord, log_rays
@@ -23,38 +23,39 @@ Cause = Literal[
     "rounding",
 ]
 
-#: What each cause means and what to do about it.
+#: The sentence for each cause, with the remedy.
 CAUSES: dict[Cause, str] = {
-    "grazing": "{things}: N.V or N.L is near 0 in {pixels}, where float32 loses digits "
+    "grazing": "{objects}: N.V or N.L is near 0 in {pixels}, where float32 loses digits "
     "(factor {factor})",
-    "silhouette tie": "{things}: an edge is within rounding of the rays of {pixels}, which may "
+    "silhouette tie": "{objects}: an edge is within rounding of the rays of {pixels}, which may "
     "show either side of it",
-    "highlight exponent": "{things}: the exponents multiply the rounding of (R.V)^n by up to "
+    "highlight exponent": "{objects}: the exponents multiply the rounding of (R.V)^n by up to "
     "{factor} in {pixels}: use float64 (--dtype float64) or smaller exponents",
-    "cancellation": "float32 loses {things}, up to {factor} radii away from the eye or the "
+    "cancellation": "float32 loses {objects}, up to {factor} radii away from the eye or the "
     "origin, in {pixels}: use float64 (--dtype float64)",
-    "mirrors": "{things}: mirrors multiply the rounding of rays by up to {factor} in {pixels}: "
+    "mirrors": "{objects}: mirrors multiply the rounding of rays by up to {factor} in {pixels}: "
     "use float64 (--dtype float64) or fewer bounces",
-    "overflow": "{things}: squares of lengths leave the range of float32 in {pixels}: use float64 "
+    "overflow": "{objects}: squares of lengths leave the range of float32 in {pixels}: use float64 "
     "(--dtype float64) or other units of length",
-    "rounding": "{things}: nothing multiplies rounding errors, but they show in {pixels}",
+    "rounding": "{objects}: nothing multiplies rounding errors, but they show in {pixels}",
 }
 
 _EPS = float(np.finfo(np.float32).eps)
 
-# What multiplies rounding by no more than this does not explain an error.
-_ORDINARY = 30
+# Largest growth of rounding errors that counts as ordinary: it explains no error.
+_ORDINARY_GROWTH = 30
 
-# A colour takes about so many roundings.
+# Estimate of the rounding operations in one colour.
 _ROUNDINGS = 100
 
-# Edges that are known to no better than this part of the radius are no ties.
-_LOST = 1e-4
+# Largest relative error of an edge's position in a tie. Positions with larger errors are lost by
+# cancellation or by mirrors.
+_LARGEST_TIE = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
-class Why:
-    """Why a pixel differs: as `StabilityRow`."""
+class Explanation:
+    """The cause of a pixel's error: the fields are those of `StabilityRow`."""
 
     cause: Cause
     factor: float
@@ -68,56 +69,61 @@ def explain(
     pixels: np.ndarray,
     error: Float[np.ndarray, " pixels"],
     brightest: float,
-) -> list[Why]:
-    """Why some pixels differ.
+) -> list[Explanation]:
+    """Finds the causes of the errors of the given pixels.
 
-    **Arguments:** `both`: the scene in float32 and in float64. `error`: how much they differ.
-    `brightest`: the picture's largest number.
+    **Arguments:** `both`: the scene in float32 and in float64. `pixels`: numbered row by row.
+    `error`: the pixels' errors. `brightest`: the picture's largest number.
+
+    **Returns:** an explanation for each pixel.
     """
-    # where objects both reflect and transmit, the paths that always do the one or the other
+    # where paths branch, the two paths that always reflect, or always go straight on
     choices = (0, 1) if settings.bounces and settings.needs.branching else (0,)
-    places = np.stack(jax.tree.map(np.asarray, sample_places(both[1], settings)), axis=-1)
-    pairs = [_trails(both, settings, pixels, place, c) for place in places for c in choices]
-    apart = np.stack([_apart(single, double) for single, double in pairs])
-    which = apart.argmax(axis=0)
-    at = lambda stop, k: jax.tree.map(lambda x: x[:, k], stop)
-    scene = _Lengths(both[1])
-    found = []
-    for k, (i, e) in enumerate(zip(which, error, strict=True)):
-        single, double = pairs[i]
-        found.append(_why(scene, at(single, k), at(double, k), float(e), brightest))
-    return found
+    places = np.stack(jax.tree.map(np.asarray, sample_positions(both[1], settings)), axis=-1)
+    logs = [_log_both(both, settings, pixels, place, c) for place in places for c in choices]
+    difference = np.stack([_difference(single, double) for single, double in logs])
+    worst_path = difference.argmax(axis=0)
+    of_pixel = lambda log, k: jax.tree.map(lambda x: x[:, k], log)
+    lengths = _Lengths(both[1])
+    explanations = []
+    for k, (path, e) in enumerate(zip(worst_path, error, strict=True)):
+        single, double = (of_pixel(log, k) for log in logs[path])
+        explanations.append(_explain_ray(lengths, single, double, float(e), brightest))
+    return explanations
 
 
-def _trails(
+def _log_both(
     both: tuple[Scene, Scene],
     settings: RenderSettings,
     pixels: np.ndarray,
     place: np.ndarray,
     choice: int,
 ) -> tuple[RayRecord, RayRecord]:
-    def follow(scene: Scene) -> RayRecord:
+    """Logs one ray through each pixel, in both precisions. **Returns:** two logs in float64."""
+
+    def log(scene: Scene) -> RayRecord:
         left, top = jnp.asarray(place, scene.dtype)
-        stop = log_rays(scene, settings, jnp.asarray(pixels, jnp.int32), left, top, choice)
-        return jax.tree.map(_double, stop)
+        record = log_rays(scene, settings, jnp.asarray(pixels, jnp.int32), left, top, choice)
+        return jax.tree.map(_double, record)
 
     single, double = both
-    return follow(single), follow(double)
+    return log(single), log(double)
 
 
 def _double(x: jax.Array) -> np.ndarray:
+    """Converts floating arrays to float64, and all arrays to NumPy."""
     array = np.asarray(x)
     return array.astype(np.float64) if np.issubdtype(array.dtype, np.floating) else array
 
 
-def _apart(single: RayRecord, double: RayRecord) -> np.ndarray:
-    """How far a ray's two colours are apart, and infinitely where one is no number."""
-    apart = np.abs(single.color.sum(0) - double.color.sum(0)).max(-1)
-    return np.where(np.isfinite(apart), apart, np.inf)
+def _difference(single: RayRecord, double: RayRecord) -> np.ndarray:
+    """Returns the difference of a ray's colours in both precisions; infinity for nan."""
+    difference = np.abs(single.color.sum(0) - double.color.sum(0)).max(-1)
+    return np.where(np.isfinite(difference), difference, np.inf)
 
 
 class _Lengths:
-    """The lengths of a scene on which the accuracy of intersections depends."""
+    """Lengths of a scene on which the accuracy of intersections depends."""
 
     def __init__(self, scene: Scene):
         s, p = jax.tree.map(np.asarray, (scene.spheres, scene.planes))
@@ -125,6 +131,7 @@ class _Lengths:
         self.lights = np.asarray(scene.lights.position)
 
     def name(self, i: int) -> str:
+        """Names an object, in words."""
         if i < 0:
             return "the background"
         n, planes = len(self.radius), len(self.point)
@@ -132,124 +139,138 @@ class _Lengths:
             return f"sphere {i + 1}"
         return f"plane {i - n + 1}" if i < n + planes else "the back plane"
 
-    def lost(self, i: int, origin: ArrayLike) -> float:
-        """By what rounding an object's or a ray's place grows, in units of the object itself."""
+    def growth(self, i: int, origin: ArrayLike) -> float:
+        """Returns the growth of the rounding errors of positions, in units of an object's size.
+
+        **Arguments:** `i`: the object's number. `origin`: the ray's.
+        """
         n, origin = len(self.radius), np.asarray(origin)
         if not 0 <= i < n + len(self.point):
             return 1.0
         if i < n:
-            place, size = self.center[i], self.radius[i]
+            position, size = self.center[i], self.radius[i]
         else:
-            place, normal = self.point[i - n], self.normal[i - n]
-            size = abs(np.dot(place - origin, normal)) / np.linalg.norm(normal)
-        lengths = [np.linalg.norm(x) for x in (place, origin, place - origin)]
+            position, normal = self.point[i - n], self.normal[i - n]
+            size = abs(np.dot(position - origin, normal)) / np.linalg.norm(normal)
+        lengths = [np.linalg.norm(x) for x in (position, origin, position - origin)]
         return float(max(lengths) / size) if size > 0 else 1.0
 
-    def beyond(self, i: int, origin: ArrayLike) -> bool:
-        """Whether the squares of the lengths of an intersection do not fit into float32."""
+    def overflows(self, i: int, origin: ArrayLike) -> bool:
+        """Tells whether the squared lengths of an intersection leave the range of float32."""
         if not 0 <= i < len(self.radius):
             return False
         range_ = np.finfo(np.float32)
         lengths = [self.radius[i], np.linalg.norm(self.center[i] - np.asarray(origin))]
         return any(not range_.tiny < x * x < range_.max for x in lengths if x)
 
-    def nearest_edge(self, origin: ArrayLike, direction: ArrayLike, reach: float = np.inf) -> int:
-        """The sphere whose silhouette, or shadow's edge, a ray passes most closely."""
+    def nearest_edge(self, origin: ArrayLike, direction: ArrayLike, end: float = np.inf) -> int:
+        """Finds the sphere whose silhouette, or shadow edge, a ray passes most closely.
+
+        **Arguments:** `end`: the ray's length. **Returns:** the sphere's number, -1 for none.
+        """
         if not len(self.radius):
             return -1
         oc, direction = self.center - np.asarray(origin), np.asarray(direction)
         along = oc @ direction
-        off = np.linalg.norm(oc - along[:, None] * direction, axis=1)
-        ahead = (along > 0) & (along < reach)
-        return int(np.argmin(np.where(ahead, np.abs(off - self.radius) / self.radius, np.inf)))
+        distance = np.linalg.norm(oc - along[:, None] * direction, axis=1)
+        ahead = (along > 0) & (along < end)
+        gap = np.abs(distance - self.radius) / self.radius
+        return int(np.argmin(np.where(ahead, gap, np.inf)))
 
 
-def _why(
+def _explain_ray(
     scene: _Lengths, single: RayRecord, double: RayRecord, error: float, brightest: float
-) -> Why:
-    """**Arguments:** `single`, `double`: the stops of one ray in both precisions."""
-    if not error < np.inf and not np.isfinite(_apart(single, double)):
-        return Why("overflow", np.inf, scene.name(int(double.id[0])), 0)
+) -> Explanation:
+    """Finds the cause of one ray's error.
+
+    **Arguments:** `single`, `double`: the log of the ray in both precisions.
+    """
+    if not error < np.inf and not np.isfinite(_difference(single, double)):
+        return Explanation("overflow", np.inf, scene.name(int(double.id[0])), 0)
     for b in range(len(double.id)):
         if single.alive[b] != double.alive[b]:
             break
-        if double.alive[b] and (why := _parted(scene, single, double, b)):
-            return why
-    why = _grown(scene, single, double)
-    # no pixel is off by more than the worst of its rays
-    elsewhere = _apart(single, double) < error / 2
-    if elsewhere and error > _ROUNDINGS * why.factor * _EPS * brightest:
-        return _of_edge(scene, double)
-    return why
+        if double.alive[b] and (explanation := _explain_parting(scene, single, double, b)):
+            return explanation
+    explanation = _explain_growth(scene, single, double)
+    # a pixel's error is at most that of the worst of its rays
+    elsewhere = _difference(single, double) < error / 2
+    if elsewhere and error > _ROUNDINGS * explanation.factor * _EPS * brightest:
+        return _explain_edge(scene, double)
+    return explanation
 
 
-def _of_edge(scene: _Lengths, double: RayRecord) -> Why:
-    """Where the ray itself does not have the error: it is in an edge beside it, or the ray's
-    formulas, compiled another way, fall on the other side of one.
+def _explain_edge(scene: _Lengths, double: RayRecord) -> Explanation:
+    """Explains an error that the logged ray does not have, by the edge nearest to the ray.
+
+    The error arises at this edge, or the ray's formulas, compiled in another way, give the other
+    side of the edge.
     """
     origin = double.origin[0]
     edge = scene.nearest_edge(origin, double.direction[0])
     ids = {int(double.id[0]), edge} - {-1}
-    lost, i = max(((scene.lost(i, origin), i) for i in ids), default=(1.0, -1))
-    if lost * _EPS > _LOST:
-        return Why("cancellation", lost, scene.name(i), 0)
-    return Why("silhouette tie", 1.0, scene.name(edge), 0)
+    growth, i = max(((scene.growth(i, origin), i) for i in ids), default=(1.0, -1))
+    if growth * _EPS > _LARGEST_TIE:
+        return Explanation("cancellation", growth, scene.name(i), 0)
+    return Explanation("silhouette tie", 1.0, scene.name(edge), 0)
 
 
-def _parted(scene: _Lengths, single: RayRecord, double: RayRecord, b: int) -> Why | None:
-    """Why something else is met or lit at a bounce, if it is."""
+def _explain_parting(
+    scene: _Lengths, single: RayRecord, double: RayRecord, b: int
+) -> Explanation | None:
+    """Explains another object or another shadow at bounce `b`; None where both are the same."""
     ids = int(single.id[b]), int(double.id[b])
-    origin, who = double.origin[b], max(ids)
-    if ids[0] != ids[1] or single.inside[b] != double.inside[b]:
-        lost, who = max((scene.lost(i, origin), i) for i in ids)
-    elif (reached := (single.lit & single.turned)[b] != (double.lit & double.turned)[b]).any():
-        light = int(np.argmax(reached))
+    origin, i = double.origin[b], max(ids)
+    if ids[0] == ids[1] and single.inside[b] == double.inside[b]:
+        changed = (single.lit & single.turned)[b] != (double.lit & double.turned)[b]
+        if not changed.any():
+            return None
+        light = int(np.argmax(changed))
         if single.turned[b, light] == double.turned[b, light]:
-            return _shadow(scene, double, b, light)
-        return Why("grazing", np.inf, scene.name(who), b)
-    else:
-        return None
-    if any(scene.beyond(i, origin) for i in ids):
-        return Why("overflow", np.inf, scene.name(who), b)
-    if lost * _EPS > _LOST:
-        return Why("cancellation", lost, scene.name(who), b)
-    turned = _turned(single, double, b)
-    if turned * _EPS > _LOST:
-        return Why("mirrors", turned, scene.name(who), b)
-    return Why("silhouette tie", 1.0, scene.name(max(ids)), b)
+            return _explain_shadow(scene, double, b, light)
+        return Explanation("grazing", np.inf, scene.name(i), b)
+    growth, i = max((scene.growth(i, origin), i) for i in ids)
+    if any(scene.overflows(i, origin) for i in ids):
+        return Explanation("overflow", np.inf, scene.name(i), b)
+    if growth * _EPS > _LARGEST_TIE:
+        return Explanation("cancellation", growth, scene.name(i), b)
+    by_mirrors = _growth_by_mirrors(single, double, b)
+    if by_mirrors * _EPS > _LARGEST_TIE:
+        return Explanation("mirrors", by_mirrors, scene.name(i), b)
+    return Explanation("silhouette tie", 1.0, scene.name(max(ids)), b)
 
 
-def _shadow(scene: _Lengths, double: RayRecord, b: int, light: int) -> Why:
-    """Why a light reaches a point in one precision only."""
-    point, own = np.asarray(double.point[b]), int(double.id[b])
+def _explain_shadow(scene: _Lengths, double: RayRecord, b: int, light: int) -> Explanation:
+    """Explains that a light is visible from a point in one precision only."""
+    point, lit_object = np.asarray(double.point[b]), int(double.id[b])
     to_light = scene.lights[light] - point
-    reach = float(np.linalg.norm(to_light))
-    blocker = scene.nearest_edge(point, to_light / reach, reach)
-    lost, who = max((scene.lost(i, point), i) for i in (own, blocker))
-    if lost * _EPS > _LOST:
-        return Why("cancellation", lost, scene.name(who), b)
-    return Why("silhouette tie", 1.0, f"the shadow of {scene.name(blocker)}", b)
+    distance = float(np.linalg.norm(to_light))
+    blocker = scene.nearest_edge(point, to_light / distance, distance)
+    growth, i = max((scene.growth(i, point), i) for i in (lit_object, blocker))
+    if growth * _EPS > _LARGEST_TIE:
+        return Explanation("cancellation", growth, scene.name(i), b)
+    return Explanation("silhouette tie", 1.0, f"the shadow of {scene.name(blocker)}", b)
 
 
-def _grown(scene: _Lengths, single: RayRecord, double: RayRecord) -> Why:
-    """What multiplies rounding most at the bounce that brings most of the error."""
+def _explain_growth(scene: _Lengths, single: RayRecord, double: RayRecord) -> Explanation:
+    """Finds the largest growth of rounding errors, at the bounce with most of the error."""
     alive = np.logical_and.accumulate(single.alive & double.alive)
-    apart = np.where(alive, np.abs(single.color - double.color).max(-1), -1)
-    b = int(apart.argmax())
+    difference = np.where(alive, np.abs(single.color - double.color).max(-1), -1)
+    b = int(difference.argmax())
     i = int(double.id[b])
-    factors: dict[Cause, float] = {"cancellation": scene.lost(i, double.origin[b])}
+    factors: dict[Cause, float] = {"cancellation": scene.growth(i, double.origin[b])}
     if b:
-        factors["mirrors"] = _turned(single, double, b)
-    if i >= 0 and double.facing[b] > 0:
-        factors["grazing"] = float(1 / double.facing[b])
-    if abs(single.shine[b] - double.shine[b]) >= apart[b] / 2:
+        factors["mirrors"] = _growth_by_mirrors(single, double, b)
+    if i >= 0 and double.cos_view[b] > 0:
+        factors["grazing"] = float(1 / double.cos_view[b])
+    if abs(single.shine[b] - double.shine[b]) >= difference[b] / 2:
         factors["highlight exponent"] = float(double.steep[b])
     cause = max(factors, key=lambda name: factors[name])
-    if factors[cause] <= _ORDINARY:
-        return Why("rounding", factors[cause], scene.name(i), b)
-    return Why(cause, factors[cause], scene.name(i), b)
+    if factors[cause] <= _ORDINARY_GROWTH:
+        return Explanation("rounding", factors[cause], scene.name(i), b)
+    return Explanation(cause, factors[cause], scene.name(i), b)
 
 
-def _turned(single: RayRecord, double: RayRecord, b: int) -> float:
-    """By what the rounding of a mirrored ray's direction has grown."""
+def _growth_by_mirrors(single: RayRecord, double: RayRecord, b: int) -> float:
+    """Returns the growth of the rounding errors of a mirrored ray's direction."""
     return float(np.abs(single.direction[b] - double.direction[b]).max() / _EPS)

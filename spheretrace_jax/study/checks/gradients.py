@@ -1,52 +1,55 @@
-"""Derivatives against one another: forward mode, reverse mode and central differences."""
+"""Gradient checks: forward mode, reverse mode and central differences, one against the other."""
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from ...base.types import Highlight
-from ...rendering.render import render
-from ...scene.needs import Needs, needs as needs_of
+from ...base.types import Highlight, Picture
+from ...rendering.render import draw
+from ...scene.needs import Needs
 from ...scene.scene import Scene
+from .settings import double_settings
 
-# Of the central differences, relative to a parameter's size: their own error is near step^4 by
-# truncation and 1e-16 / step by rounding.
+# Step of the central differences, relative to a parameter's size. The error of the differences is
+# near step^4 by truncation and 1e-16 / step by rounding.
 _STEP = 1e-5
 
 _STEPS = (-2 * _STEP, -_STEP, _STEP, 2 * _STEP)
 
-# Few pixels are derived, once: the nine spheres' reverse mode with edges compiles in 34 s, with
-# all optimisations in 80.
-_QUICKLY = {"xla_backend_optimization_level": 0}
+# Compiler options for programs that run once on few pixels: compilation takes longest. The nine
+# spheres' reverse mode with edges compiles in 34 s so, with all optimisations in 80.
+_FAST_COMPILATION = {"xla_backend_optimization_level": 0}
 
-# Disagreements up to these are those of the differences, as far as kinks that are hardly seen pass
-# within their step, and of rounding.
+# Tolerances, relative, of forward mode against differences and of reverse against forward mode. The
+# first allows for the differences' error at kinks too weak to be found, the second for rounding.
 _FORWARD, _REVERSE = 1e-3, 1e-10
 
-# Where differences ahead and behind, or of one and two steps, disagree by this much, relatively,
-# an edge (a jump) or a kink lies within the step.
+# Largest disagreement, relative, of differences ahead and behind, or of one and two steps, in
+# pixels that count. Above it an edge (a jump) or a kink lies within the step.
 _KINK = 2e-2
 
 
 @dataclasses.dataclass(frozen=True)
 class GradientRow:
-    """How the derivatives by one array of the scene agree, along one random direction."""
+    """The agreement of the derivatives by one array of the scene, along one random direction."""
 
     parameter: str
-    #: jvp against central differences: largest error over the largest derivative, if differences
-    #: can tell that from 0
+    #: jvp against central differences: largest error, over the largest derivative if the
+    #: differences tell that derivative from 0
     forward: float
     reverse: float  #: vjp against jvp, relative
     largest: float  #: the largest derivative in the picture
-    left_out: int  #: pixels that do not count: an edge or a kink lies within the step
+    left_out: int  #: pixels that do not count, with an edge or a kink within the step
     pixels: int
 
     @property
     def agree(self) -> bool:
-        """Whether all three agree as far as differences are good."""
+        """Tells whether the three derivatives agree, within the error of the differences."""
         return self.forward <= _FORWARD and self.reverse <= _REVERSE
 
 
@@ -55,24 +58,26 @@ class GradientTable:
     """One row per array of the scene. `print` shows it as a table."""
 
     rows: tuple[GradientRow, ...]
-    antialias: bool = False  #: whether edges are covered by area, and so have derivatives
-    idle: dict[str, str] = dataclasses.field(default_factory=dict)  #: arrays without row, and why
+    antialias: bool = False  #: covered edges, which have derivatives, or single rays
+    #: arrays without row, and the reasons
+    idle: dict[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
-        """Whether forward mode, reverse mode and differences agree as far as these are good."""
+        """Tells whether the derivatives of all rows agree, within the error of the differences."""
         return all(row.agree for row in self.rows)
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What the table leaves out, and why."""
+        """Explains which arrays and pixels the table leaves out."""
         reasons: dict[str, dict[str, list[str]]] = {}
-        for name, why in self.idle.items():
-            part, _, array = name.partition(".")
-            reasons.setdefault(why, {}).setdefault(part, []).append(array)
+        for name, reason in self.idle.items():
+            field, _, array = name.partition(".")
+            reasons.setdefault(reason, {}).setdefault(field, []).append(array)
         words = [
-            f"left out, as {why}: " + "; ".join(" ".join([p, *a]).strip() for p, a in of.items())
-            for why, of in reasons.items()
+            f"left out, as {reason}: "
+            + "; ".join(" ".join([field, *arrays]).strip() for field, arrays in fields.items())
+            for reason, fields in reasons.items()
         ]
         if any(row.left_out for row in self.rows):
             words.append(
@@ -88,7 +93,7 @@ class GradientTable:
 
     @property
     def worst(self) -> float:
-        """The largest relative disagreement."""
+        """Returns the largest relative disagreement."""
         return max((max(row.forward, row.reverse) for row in self.rows), default=0.0)
 
     def __str__(self) -> str:
@@ -113,84 +118,88 @@ def check_gradients(
 ) -> GradientTable:
     """Compares the derivatives of a scene's picture by every array of the scene, in float64.
 
-    Each array is moved along one random direction. Forward mode must equal central differences in
-    every pixel that counts; reverse mode must equal forward mode on a random weight picture, in
-    all pixels. A pixel does not count where the picture itself is not smooth within the step of
-    the differences, because a silhouette, a shadow edge or the rim of a highlight passes: there
-    differences ahead and behind, or of one and two steps, disagree.
+    Each array moves along one random direction. Forward mode must equal central differences in
+    every pixel that counts. Reverse mode must equal forward mode on a random weight picture, in
+    all pixels. A pixel does not count where the picture is not smooth within the step of the
+    differences: a silhouette, a shadow edge or the rim of a highlight passes. There differences
+    ahead and behind, or of one and two steps, disagree.
 
-    **Arguments:** as for `render`; by default everything is derived that could be, also kgr, kt
-    and ks where they are 0. `every`: False leaves out coefficients that are 0 in the whole scene:
-    mirrors that are not there take long to compile. `seed`: of the directions and weights.
+    **Arguments:** as for `render`; by default all arrays are checked, also ks, kgr and kt of 0.
+    `every`: False leaves out coefficients that are 0 in the whole scene, as absent mirrors take
+    long to compile. `seed`: of the random directions and weights.
 
     **Returns:** a table with one row per array, which also counts the pixels left out.
+
+    **Raises:** `InputError` as `render` does.
     """
     scene.check_dtype()
     with jax.enable_x64(True):
-        scene = scene.astype(jnp.float64)
         idle = _idle(scene, every)
-        if needs is None:
-            needs = needs_of(
-                scene, free=("ks", "kgr", "kt", "background") if every else present(scene)
-            )
-        picture = partial(
-            render, width=width, height=height, highlight=highlight, bounces=bounces,
-            samples=samples, needs=needs,
+        scene, settings = double_settings(
+            scene, width, height, highlight=highlight, bounces=bounces, samples=samples,
+            needs=needs, free=("ks", "kgr", "kt", "background") if every else present(scene),
         )  # fmt: skip
-        program = partial(jax.jit, compiler_options=_QUICKLY)
-        forward = program(lambda s, ds: jax.jvp(picture, (s,), (ds,)))
-        rng = np.random.default_rng(seed)
-        still = jax.tree.map(jnp.zeros_like, scene)
-        here, _ = forward(scene, still)
-        weights = rng.standard_normal(here.shape)
-        reverse = program(lambda s, w: jax.vjp(picture, s)[1](w)[0])(scene, jnp.asarray(weights))
-        rows = []
-        leaves, structure = jax.tree_util.tree_flatten_with_path(scene)
-        zeros = jax.tree.leaves(still)
-        for k, (path, leaf) in enumerate(leaves):
-            name = jax.tree_util.keystr(path).lstrip(".")
-            if name in idle:
-                continue
-            size = float(jnp.max(jnp.abs(leaf))) or 1.0
-            along = jnp.asarray(rng.standard_normal(leaf.shape) * size)
-            move = jax.tree.unflatten(structure, [*zeros[:k], along, *zeros[k + 1 :]])
-            moved = lambda h, move=move: jax.tree.map(lambda a, b: a + h * b, scene, move)
-            pictures = {h: np.asarray(picture(moved(h))) for h in _STEPS}
-            rows.append(
-                _row(
-                    name,
-                    {0.0: np.asarray(here), **pictures},
-                    np.asarray(forward(scene, move)[1]),
-                    weights,
-                    float(jnp.vdot(jax.tree.leaves(reverse)[k], along)),
-                )
-            )
-    return GradientTable(tuple(rows), bool(scene.antialias), idle)
+        rows = _rows(scene, partial(draw, settings=settings), set(idle), seed)
+    return GradientTable(rows, bool(scene.antialias), idle)
+
+
+def _rows(
+    scene: Scene, picture: Callable[[Scene], Picture], idle: set[str], seed: int
+) -> tuple[GradientRow, ...]:
+    """Compares the derivatives of a picture by each array of the scene that is not idle."""
+    compiled = partial(jax.jit, compiler_options=_FAST_COMPILATION)
+    forward = compiled(lambda s, ds: jax.jvp(picture, (s,), (ds,)))
+    reverse = compiled(lambda s, w: jax.vjp(picture, s)[1](w)[0])
+    rng = np.random.default_rng(seed)
+    still = jax.tree.map(jnp.zeros_like, scene)
+    unmoved, _ = forward(scene, still)
+    weights = rng.standard_normal(unmoved.shape)
+    gradient = _arrays(reverse(scene, jnp.asarray(weights)))
+    structure, zeros = jax.tree.structure(scene), jax.tree.leaves(still)
+    rows = []
+    for k, (name, array) in enumerate(_arrays(scene).items()):
+        if name in idle:
+            continue
+        size = float(jnp.max(jnp.abs(array))) or 1.0
+        direction = jnp.asarray(rng.standard_normal(array.shape) * size)
+        tangent = jax.tree.unflatten(structure, [*zeros[:k], direction, *zeros[k + 1 :]])
+        moved = lambda h, along=tangent: jax.tree.map(lambda a, b: a + h * b, scene, along)
+        pictures = {h: np.asarray(picture(moved(h))) for h in _STEPS}
+        derivative = np.asarray(forward(scene, tangent)[1])
+        pulled = float(jnp.vdot(gradient[name], direction))
+        rows.append(_row(name, {0.0: np.asarray(unmoved), **pictures}, derivative, weights, pulled))
+    return tuple(rows)
 
 
 def present(scene: Scene) -> list[str]:
-    """Those of ks, kgr and kt that are not 0 in the whole scene."""
-    parts = scene.spheres, scene.planes
-    some = lambda name: any(np.asarray(getattr(part, name, 0)).any() for part in parts)
-    return [name for name in ("ks", "kgr", "kt") if some(name)]
+    """Lists those of ks, kgr and kt that are not 0 in the whole scene."""
+    objects = scene.spheres, scene.planes
+    nonzero = lambda name: any(np.asarray(getattr(each, name, 0)).any() for each in objects)
+    return [name for name in ("ks", "kgr", "kt") if nonzero(name)]
 
 
 def _idle(scene: Scene, every: bool) -> dict[str, str]:
-    """The arrays of a scene that have no row, and why."""
+    """Lists the arrays of a scene that have no row, with the reasons."""
     idle = {}
     for name in () if every else ("ks", "kgr", "kt"):
         if name not in present(scene):
             names = (name, "exponent") if name == "ks" else (name,)
             idle |= {
-                f"{part}.{n}": f"every {name} is 0" for part in ("spheres", "planes") for n in names
+                f"{field}.{n}": f"every {name} is 0"
+                for field in ("spheres", "planes")
+                for n in names
             }
     if not (every or scene.sky is not None or np.asarray(scene.background).any()):
         idle["background"] = "the background is black"
+    sizes = {name: leaf.size for name, leaf in _arrays(scene).items()}
+    idle |= {n: f"the scene has no {n.partition('.')[0]}" for n, size in sizes.items() if not size}
+    return {name: reason for name, reason in idle.items() if name in sizes}
+
+
+def _arrays(scene: Scene) -> dict[str, Array]:
+    """Returns all arrays of a scene by their names, such as `spheres.center`, in their order."""
     leaves = jax.tree_util.tree_flatten_with_path(scene)[0]
-    sizes = {jax.tree_util.keystr(path).lstrip("."): leaf.size for path, leaf in leaves}
-    part = lambda name: name.partition(".")[0]
-    idle |= {n: f"the scene has no {part(n)}" for n, size in sizes.items() if not size}
-    return {name: why for name, why in idle.items() if name in sizes}
+    return {jax.tree_util.keystr(path).lstrip("."): leaf for path, leaf in leaves}
 
 
 def _row(
@@ -200,15 +209,20 @@ def _row(
     weights: np.ndarray,
     pulled: float,
 ) -> GradientRow:
-    """**Arguments:** `at`: the picture at 0, 1 and 2 steps ahead and behind."""
+    """Compares the derivatives along one direction.
+
+    **Arguments:** `name`: the array's. `at`: the pictures at 0, 1 and 2 steps ahead and behind.
+    `derivative`: the picture's, by forward mode. `weights`: the random weight picture. `pulled`:
+    the derivative of the weighted sum, by reverse mode.
+    """
     h = _STEP
     near, far = (at[h] - at[-h]) / (2 * h), (at[2 * h] - at[-2 * h]) / (4 * h)
     difference = (4 * near - far) / 3  # Richardson: of fourth order
     bend = np.abs(at[2 * h] - 2 * at[0.0] + at[-2 * h]) / (4 * h)
-    slope = np.maximum(np.abs(near), np.abs(far)).max(-1)
+    steepness = np.maximum(np.abs(near), np.abs(far)).max(-1)
     rounding = 64 * np.finfo(np.float64).eps * (1 + np.abs(at[0.0]).max()) / h
     rough = np.maximum(bend, np.abs(near - far)).max(-1)
-    smooth = rough <= _KINK * slope + rounding
+    smooth = rough <= _KINK * steepness + rounding
     counted = np.where(smooth[..., None], derivative, 0)
     largest = float(np.abs(counted).max())
     error = float(np.abs(counted - np.where(smooth[..., None], difference, 0)).max())

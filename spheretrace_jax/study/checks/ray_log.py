@@ -7,14 +7,15 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ...base.vec import parts, vec
-from ...rendering.render import rays_through
+from ...rendering.samples import sample_rays
 from ...scene.camera import Ray
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
-from ...tracing.path import Path, next_path, shade_path
+from ...tracing.context import TraceContext, build_context
+from ...tracing.path import Path, first_path, next_path, shade_path
 from ...tracing.queries import closest_hit, light_visible
 from ...tracing.shading import HIGHLIGHTS, lambert, power, toward_light
-from ...tracing.tables import SceneTables, build_tables, surface_at
+from ...tracing.surface import surface_at
 from ...xla.jit import compiled
 
 
@@ -29,7 +30,7 @@ class RayRecord(eqx.Module):
     inside: Bool[Array, "*bounces pixels"]  #: whether it is a sphere met from inside
     lit: Bool[Array, "*bounces pixels lights"]  #: whether no other object is in a light's way
     turned: Bool[Array, "*bounces pixels lights"]  #: whether N.L > 0
-    facing: Float[Array, "*bounces pixels"]  #: N.V
+    cos_view: Float[Array, "*bounces pixels"]  #: N.V
     steep: Float[Array, "*bounces pixels"]  #: n / (R.V): by what the highlight's errors grow
     shine: Float[Array, "*bounces pixels"]  #: what of the colour is highlights
     color: Float[Array, "*bounces pixels 3"]  #: what the hit adds to the picture
@@ -47,40 +48,40 @@ def log_rays(
     top: Float[Array, ""],
     choice: int = 0,
 ) -> RayRecord:
-    """All stops of one ray through each of some pixels, in the scene's own precision.
+    """Records all hits of one ray through each of some pixels, in the scene's own precision.
 
     **Arguments:** `pixels`: numbered row by row. `left`, `top`: where in a pixel the ray is, in
     pixels. `choice`: 0 to follow reflections where objects also transmit, 1 to go straight on.
     """
-    world, needs = build_tables(scene), settings.needs
-    ray = rays_through(scene, settings, pixels, left, top)
-    whole = lambda x: jnp.broadcast_to(x, pixels.shape)
-    ray = Ray(jax.tree.map(whole, ray.origin), ray.direction)
-    one = jnp.ones_like(ray.direction.x)
-    hit = closest_hit(world, ray, needs)
-    start = Path(ray, hit, one, one > 0, None)
+    context = build_context(scene, settings, accelerated=False)
+    ray = sample_rays(scene, settings, pixels, left, top)
+    to_pixels = lambda x: jnp.broadcast_to(x, pixels.shape)
+    ray = Ray(jax.tree.map(to_pixels, ray.origin), ray.direction)
+    start = first_path(ray, closest_hit(context, ray), jnp.full(pixels.shape, True))
 
     def bounce(path: Path, _: None) -> tuple[Path, RayRecord]:
-        stop = _stop(scene, world, path, settings)
-        on = next_path(world, path, needs, choice)
-        return eqx.tree_at(lambda p: p.hit, on, closest_hit(world, on.ray, needs, on.hit)), stop
+        record = _record(context, path)
+        path = next_path(context, path, choice)
+        hit = closest_hit(context, path.ray, path.hit)
+        return eqx.tree_at(lambda p: p.hit, path, hit), record
 
     if not settings.bounces:
-        return jax.tree.map(lambda x: x[None], _stop(scene, world, start, settings))
+        return jax.tree.map(lambda x: x[None], _record(context, start))
     return lax.scan(bounce, start, None, settings.bounces + 1)[1]
 
 
-def _stop(scene: Scene, world: SceneTables, path: Path, settings: RenderSettings) -> RayRecord:
-    ray, hit, needs = path.ray, path.hit, settings.needs
-    surface = surface_at(world, ray, hit, needs)
-    ks, exponent = world.material(hit.id, lambda m: (m.ks, m.exponent))
+def _record(context: TraceContext, path: Path) -> RayRecord:
+    """Records what the rays of paths meet."""
+    ray, hit, lights = path.ray, path.hit, context.scene.lights
+    surface = surface_at(context, ray, hit)
+    ks, exponent = context.material(hit.id, lambda m: (m.ks, m.exponent))
     lit, turned, shine, grown = [], [], jnp.zeros_like(ks), jnp.zeros_like(ks)
-    for position, light_color in zip(scene.lights.position, scene.lights.color, strict=True):
+    for position, light_color in zip(lights.position, lights.color, strict=True):
         light = vec(position)
         to_light = toward_light(surface, light)
-        lit.append((hit.id >= 0) & light_visible(world, surface.point, hit, light, needs))
+        lit.append((hit.id >= 0) & light_visible(context, surface.point, hit, light))
         turned.append(lambert(surface, to_light) > 0)
-        cosine = HIGHLIGHTS[settings.highlight](surface, to_light, ray.direction)
+        cosine = HIGHLIGHTS[context.settings.highlight](surface, to_light, ray.direction)
         shows = lit[-1] & turned[-1] & (cosine > 0)
         each = jnp.where(shows, power(cosine, exponent), 0) * ks * jnp.max(light_color)
         shine = shine + each
@@ -93,10 +94,10 @@ def _stop(scene: Scene, world: SceneTables, path: Path, settings: RenderSettings
         inside=hit.inside,
         lit=masks(lit),
         turned=masks(turned),
-        facing=surface.facing,
+        cos_view=surface.cos_view,
         steep=grown / jnp.where(shine > 0, shine, 1),
         shine=shine * path.weight,
-        color=rows(shade_path(scene, world, path, settings)),
+        color=rows(shade_path(context, path)),
         origin=rows(ray.origin),
         direction=rows(ray.direction),
         point=rows(surface.point),

@@ -1,4 +1,4 @@
-"""Float32 against float64: how much the pixels differ, where most, and why."""
+"""Stability: a picture in float32 against float64, the worst pixels, and the causes."""
 
 import collections
 import dataclasses
@@ -11,64 +11,64 @@ from ...base.types import Highlight
 from ...rendering.render import draw
 from ...scene.needs import Needs
 from ...scene.scene import Scene
-from ...scene.settings import render_settings
 from .error_causes import CAUSES, Cause, explain
+from .settings import double_settings
 
-# At most so many pixels, the worst, are looked into.
-_MOST = 1024
+# Limit of the pixels, the worst first, whose causes are computed.
+_MOST_PIXELS = 1024
 
 
 @dataclasses.dataclass(frozen=True)
 class StabilityRow:
-    """A pixel that float32 shows otherwise than float64."""
+    """A pixel that differs between float32 and float64."""
 
     column: int  #: from 0 at the left
     row: int  #: from 0 at the top
     error: float  #: the largest difference of its red, green and blue
     ulps: float  #: the same in units in the last place of its brightest channel in float32
     cause: Cause
-    factor: float  #: by what a rounding error is multiplied there
-    object: str  #: what is seen there: "sphere 3"
-    bounce: int  #: where the cause is: 0 where the eye's ray ends
+    factor: float  #: factor by which a rounding error grows there
+    object: str  #: the object seen there: "sphere 3"
+    bounce: int  #: of the cause: 0 at the first hit
 
     @property
     def place(self) -> str:
-        """Where the cause is, in words."""
+        """Names the object and the bounce of the cause."""
         return self.object + (f", at bounce {self.bounce}" if self.bounce else "")
 
 
 @dataclasses.dataclass(frozen=True)
 class StabilityTable:
-    """How a scene's picture in float32 differs from that in float64. `print` shows it."""
+    """Differences of a scene's picture between float32 and float64. `print` shows them."""
 
-    rows: tuple[StabilityRow, ...]  #: the pixels whose error shows, worst first, 1024 at most
+    rows: tuple[StabilityRow, ...]  #: the pixels above the limit, worst first, 1024 at most
     pixels: int
-    limit: float  #: errors above this show
-    shown: int  #: how many pixels have one
-    median: float  #: of the errors of the pixels that have one
+    limit: float  #: errors above this limit count
+    shown: int  #: number of pixels above the limit
+    median: float  #: of the errors other than 0
     largest: float  #: of all errors
 
     @property
     def share(self) -> float:
-        """The part of the picture whose error shows."""
+        """Returns the share of the pixels whose error is above the limit."""
         return self.shown / self.pixels
 
     @property
     def ok(self) -> bool:
-        """Whether float32 is good for all of the picture but a thousandth."""
+        """Tells whether float32 suffices for all pixels but a thousandth."""
         return self.share <= 1e-3 and bool(np.isfinite(self.largest))
 
     @property
     def counts(self) -> dict[Cause, int]:
-        """How many of the rows each cause has, most first."""
+        """Counts the rows of each cause, most frequent first."""
         return dict(collections.Counter[Cause](row.cause for row in self.rows).most_common())
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know and to do, in words: a sentence for each cause."""
+        """Returns a sentence for each cause, with the remedy."""
         return tuple(
             CAUSES[cause].format(
-                things=_some([row.object for row in self.rows if row.cause == cause]),
+                objects=_named([row.object for row in self.rows if row.cause == cause]),
                 pixels=f"{n} pixel{'s' * (n > 1)}",
                 factor=f"{max(row.factor for row in self.rows if row.cause == cause):.0e}",
             )
@@ -88,10 +88,10 @@ class StabilityTable:
         return "\n".join([*lines, *self.warnings])
 
 
-def _some(names: list[str]) -> str:
-    """The names of some objects, the most frequent first, and no more than five of them."""
-    found = [name for name, _ in collections.Counter(names).most_common()]
-    return ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
+def _named(objects: list[str]) -> str:
+    """Lists up to five of the objects, the most frequent first."""
+    names = [name for name, _ in collections.Counter(objects).most_common()]
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def check_stability(
@@ -105,24 +105,26 @@ def check_stability(
     needs: Needs | None = None,
     limit: float = 1e-4,
 ) -> StabilityTable:
-    """Compares a scene's picture in float32 with that in float64, and finds causes by computation.
+    """Compares a scene's picture in float32 with the picture in float64, and computes the causes.
 
-    The worst pixels' rays are followed in both precisions, bounce by bounce, to where they part
-    (another object, another shadow) or where the error comes in. There the factors are computed
-    by which a rounding error grows: 1/(N.V) at a grazing angle, n/(R.V) in a highlight,
-    distance/radius where R^2 - q.q cancels, and what mirrors did to the ray. The largest is the
-    cause.
+    The worst pixels' rays are followed in both precisions, bounce by bounce. They end where the two
+    rays part (another object, another shadow), or where most of the error arises. There the factors
+    by which a rounding error grows are computed: 1/(N.V) at a grazing angle, n/(R.V) in a
+    highlight, distance/radius where R^2 - q.q cancels, and the growth by mirrors. The largest
+    factor is the cause.
 
-    **Arguments:** as for `render`. `limit`: errors above this part of the picture's largest number
-    show.
+    **Arguments:** as for `render`. `limit`: the smallest error that counts, as a share of the
+    picture's largest number.
 
-    **Returns:** a table of the pixels whose error shows, worst first.
+    **Returns:** a table of the pixels above the limit, worst first.
 
     **Raises:** `InputError` as `render` does.
     """
     with jax.enable_x64(True):
-        scene = scene.astype(jnp.float64)
-        settings = render_settings(scene, width, height, highlight, bounces, samples, needs)
+        scene, settings = double_settings(
+            scene, width, height, highlight=highlight, bounces=bounces, samples=samples,
+            needs=needs,
+        )  # fmt: skip
         both = scene.astype(jnp.float32), scene
         single, double = (np.asarray(draw(each, settings), np.float64) for each in both)
         error = np.abs(single - double).max(-1).reshape(-1)
@@ -130,17 +132,17 @@ def check_stability(
         brightest = np.abs(double).max(-1).reshape(-1)
         most = float(np.max(brightest, initial=0, where=np.isfinite(brightest))) or 1.0
         shown = int(np.count_nonzero(error > limit * most))
-        worst = np.argsort(-error, kind="stable")[: min(_MOST, error.size)]
-        found = explain(both, settings, worst, error[worst], most) if shown else []
+        worst = np.argsort(-error, kind="stable")[: min(_MOST_PIXELS, error.size)]
+        causes = explain(both, settings, worst, error[worst], most) if shown else []
     rows = tuple(
         StabilityRow(
             column=int(pixel % width),
             row=int(pixel // width),
             error=float(error[pixel]),
             ulps=float(error[pixel] / np.spacing(np.float32(brightest[pixel] or most))),
-            **dataclasses.asdict(why),
+            **dataclasses.asdict(explanation),
         )
-        for pixel, why in zip(worst[:shown], found, strict=False)
+        for pixel, explanation in zip(worst[:shown], causes, strict=False)
     )
     return StabilityTable(
         rows=rows,

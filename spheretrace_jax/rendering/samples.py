@@ -1,0 +1,143 @@
+"""Samples: the k x k parts of each pixel, their rays, and what these see."""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Int
+
+from ..acceleration.screen_tiles import TILE
+from ..antialiasing.pixel_radiance import pixel_radiance
+from ..base.types import Ids, Mask, Picture, PixelArray
+from ..base.vec import Vec, where, zeros
+from ..scene.camera import Ray, pixel_rays
+from ..scene.scene import Scene
+from ..scene.settings import RenderSettings
+from ..tracing.cone import pixel_cones
+from ..tracing.context import TraceContext
+from ..tracing.differential import pixel_differentials
+from ..xla.compaction import add_where
+from ..xla.loops import STRIP_PIXELS, keep_loop_parallel
+from ..xla.rematerialization import remat
+from .pixel_filter import interleave
+from .wavefront import ray_radiance
+
+# Pixels with edges are composited this many at a time, as few as keeps the overhead small.
+EDGE_PIXELS = 1 << 11
+
+
+def render_samples(context: TraceContext) -> tuple[Vec | Picture, Mask]:
+    """Returns the mean of each pixel's samples, and where there may be edges.
+
+    Where edges are covered, the mean is a `Vec` with the rows above and below.
+    """
+    settings, k = context.settings, context.settings.samples
+    positions = sample_positions(context.scene, settings)
+    if k == 1:
+        return _render_sample(context, positions[0][0], positions[1][0])
+
+    def add(total: tuple, position: tuple) -> tuple[tuple, None]:
+        color, edge = _render_sample(context, *position)
+        return (total[0] + color, total[1] | edge), None
+
+    rows, width = settings.rows.count, settings.width
+    black = jnp.zeros((rows, width, 3), context.dtype)
+    if settings.antialias:
+        black = zeros((rows + 2, width), context.dtype)
+    (color, edge), _ = lax.scan(add, (black, jnp.full((rows, width), False)), positions)
+    return color * (1 / k**2), edge
+
+
+def sample_positions(scene: Scene, settings: RenderSettings) -> tuple[Array, Array]:
+    """Returns where the k x k samples of the first pixel are, in pixels from the left and the top.
+
+    Of another pixel, so many rows and columns away, add these.
+    """
+    # from the middle of the pixel, where that of its box is too
+    middles = jnp.arange(settings.samples, dtype=scene.dtype) + (1 - settings.samples) / 2
+    middles = 0.5 + middles * settings.side
+    left, top = jnp.meshgrid(middles, middles)
+    first = jnp.asarray(settings.rows.first, scene.dtype)
+    return left.reshape(-1), top.reshape(-1) + first
+
+
+def point_radiance(context: TraceContext, pixels: Ids, left: Array, top: Array) -> Vec:
+    """Returns what one ray sees of some pixels.
+
+    **Arguments:** `pixels`: numbers, row by row. `left`, `top`: the position of the sample in the
+    first pixel, as `sample_positions` says.
+    """
+    ray = sample_rays(context.scene, context.settings, pixels, left, top)
+    return ray_radiance(context, ray)[0]
+
+
+def area_radiance(context: TraceContext, pixels: Ids, alive: Mask, left: Array, top: Array) -> Vec:
+    """Returns what a sample sees of some pixels, their edges covered by area.
+
+    **Arguments:** as for `point_radiance`; `alive`: which pixels count; others are 0.
+    """
+    settings = context.settings
+    column, row = _positions(pixels, settings, left, top)
+    size = settings.width, settings.height
+    ray = pixel_differentials(context.scene.camera, column, row, size, settings.side)
+    return pixel_radiance(context, ray, alive)
+
+
+def sample_rays(
+    scene: Scene, settings: RenderSettings, pixels: Ids, left: Array, top: Array
+) -> Ray:
+    """Returns the rays of one sample of some pixels. **Arguments:** as for `point_radiance`."""
+    column, row = _positions(pixels, settings, left, top)
+    return pixel_rays(scene.camera, column, row, (settings.width, settings.height))
+
+
+def _positions(
+    pixels: Ids, settings: RenderSettings, left: Array, top: Array
+) -> tuple[PixelArray, PixelArray]:
+    """Returns where samples are, in pixels from the picture's left and top."""
+    column, row = pixels % settings.width, pixels // settings.width
+    return left + column.astype(left.dtype), top + row.astype(top.dtype)
+
+
+def _render_sample(context: TraceContext, left: Array, top: Array) -> tuple[Vec | Picture, Mask]:
+    """Renders one sample of each pixel, strip by strip; returns what `render_samples` does."""
+    scene, settings = context.scene, context.settings
+    dtype, width, height = context.dtype, settings.width, settings.height
+    count = settings.rows.count
+    strips = -(-width * count // STRIP_PIXELS)
+    rows = -(-count // strips)
+    if context.accelerator is not None:
+        rows = -(-rows // TILE) * TILE
+
+    # the reverse pass traces a strip again rather than keep the temporaries of all of them
+    @remat
+    def trace_strip(first_row: Int[Array, ""]) -> tuple[Vec | Picture, Mask]:
+        first_row = keep_loop_parallel(first_row)
+        columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
+        lines = top + first_row.astype(dtype) + lines
+        ray = pixel_rays(scene.camera, (left + columns)[None, :], lines[:, None], (width, height))
+        cone = None
+        if settings.antialias:
+            side = scene.camera.window / height * settings.side
+            cone = pixel_cones(scene.camera, ray, side)
+        color, edge = ray_radiance(context.from_row(first_row), ray, cone)
+        if settings.antialias:
+            return where(edge, zeros(edge.shape, dtype), color), edge
+        # interleaved here, the rows go straight into the picture: 9.8 against 11.3 ms
+        return interleave(color), edge
+
+    first_rows = jnp.arange(0, count, rows, dtype=jnp.int32)
+    join_strips = lambda x: x.reshape(-1, *x.shape[2:])[:count]
+    color, edge = jax.tree.map(join_strips, lax.map(trace_strip, first_rows))
+    if not settings.antialias:
+        return color, edge
+
+    def composite(pixels: Int[Array, " n"], alive: Mask) -> Vec:
+        return area_radiance(context, pixels - width, alive, left, top)
+
+    # with a place for the rows above and below from now on, no copy is made where neighbours are
+    # asked for (22 against 33 ms for the nine spheres' picture)
+    color = jax.tree.map(settings.rows.with_neighbours, color)
+    mask = jnp.pad(edge, ((1, 1), (0, 0))).reshape(-1)
+    flat = jax.tree.map(jnp.ravel, color)
+    flat = add_where(flat, mask, composite, min(EDGE_PIXELS, edge.size), again=True)
+    return jax.tree.map(lambda x: x.reshape(-1, width), flat), edge

@@ -1,0 +1,68 @@
+"""Arrays of a scene: their dtype, and one row for each object from a number that holds for all."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..base.errors import InputError
+
+#: The coefficients of the lecture's shading that spheres and planes have, in the scene's order.
+COEFFICIENTS = ("ka", "kd", "ks", "exponent", "kgr")
+
+
+def precision(dtype: Any) -> np.dtype:
+    """Returns a scene's dtype. **Raises:** `InputError` for all but float32 and float64."""
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise InputError(f"a scene's dtype must be float32 or float64, got {np.dtype(dtype)}")
+    return np.dtype(dtype)
+
+
+def floats(*values: Any) -> list[Array]:
+    """Returns the values as arrays of one floating dtype.
+
+    Python numbers, lists and arrays of whole numbers take the dtype of the floating arrays among
+    the values. Without floating arrays, all values take JAX's default dtype.
+
+    **Raises:** `InputError` for arrays of other dtypes.
+    """
+    typed = {v.dtype for v in values if isinstance(v, jax.Array | np.ndarray)}
+    typed = {precision(t) for t in typed if not jnp.issubdtype(t, jnp.integer)}
+    dtype = jax.dtypes.canonicalize_dtype(np.result_type(*typed) if typed else float)
+    return [jnp.asarray(v, dtype) for v in values]
+
+
+def vectors(rows: Array) -> Array:
+    """Returns rows of three numbers; an empty array of any shape becomes `(0, 3)`."""
+    return rows.reshape(-1, 3) if rows.size == 0 else rows
+
+
+def color_rows(color: Array, rows: int) -> Array:
+    """Returns one colour for each row: a single colour holds for all rows."""
+    return jnp.broadcast_to(color, (rows, 3)) if color.ndim == 1 else color
+
+
+def number_rows(number: Array, rows: int) -> Array:
+    """Returns one number for each row: a single number holds for all rows."""
+    return jnp.broadcast_to(number, (rows,)) if number.ndim == 0 else number
+
+
+def material_rows(rows: int, color: Array, *coefficients: Array) -> list[Array]:
+    """Returns the materials of `rows` objects: a colour and each coefficient, row by row.
+
+    **Arguments:** `color`, `coefficients`: one for all objects, or one for each object.
+    """
+    return [color_rows(color, rows), *(number_rows(x, rows) for x in coefficients)]
+
+
+def misshapen(
+    objects: object, names: Iterable[str], shape: tuple[int, ...]
+) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Yields the name and the shape of each field whose shape is not `shape`."""
+    for name in names:
+        field = getattr(objects, name)
+        if field.shape != shape:
+            yield name, field.shape

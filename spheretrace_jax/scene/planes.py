@@ -1,0 +1,75 @@
+"""`Planes`: where they are, and their materials; `BackPlane`: the view plane made visible."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+from jaxtyping import Array, ArrayLike, Float
+
+from ..base.types import Scalar
+from .arrays import COEFFICIENTS, color_rows, floats, material_rows, misshapen, number_rows, vectors
+
+
+class Planes(eqx.Module):
+    """Infinite planes, p of them, seen from both sides, plain or with a two-colour checker.
+
+    The squares of a checker have the side `checker_size`, and one of them has a corner at `point`.
+    Their sides run along the world's x axis, projected onto the plane. (Along the y axis, where the
+    normal is nearest to x.)
+    """
+
+    point: Float[Array, "p 3"]  #: any point of the plane; differentiable, moves edges
+    normal: Float[Array, "p 3"]  #: of any length but 0; differentiable, moves edges
+    color: Float[Array, "p 3"]
+    ka: Float[Array, " p"]
+    kd: Float[Array, " p"]
+    ks: Float[Array, " p"]
+    exponent: Float[Array, " p"]
+    kgr: Float[Array, " p"]
+    checker_color: Float[Array, "p 3"]  #: the colour of every other square
+    checker_size: Float[Array, " p"]  #: the side of a square, world units; 0 for a plain plane
+
+    def __init__(
+        self,
+        point: ArrayLike | Sequence = (),
+        normal: ArrayLike | Sequence = (),
+        color: ArrayLike | Sequence = (0.5, 0.5, 0.5),
+        ka: ArrayLike | Sequence = 0.2,
+        kd: ArrayLike | Sequence = 0.8,
+        ks: ArrayLike | Sequence = 0.0,
+        exponent: ArrayLike | Sequence = 20.0,
+        kgr: ArrayLike | Sequence = 0.0,
+        checker_color: ArrayLike | Sequence = (0.0, 0.0, 0.0),
+        checker_size: ArrayLike | Sequence = 0.0,
+    ):
+        """Builds p planes. **Arguments:** as the fields; one number or colour holds for all."""
+        point, normal, checker_color, checker_size, *material = floats(
+            point, normal, checker_color, checker_size, color, ka, kd, ks, exponent, kgr
+        )
+        self.point, self.normal = vectors(point), vectors(normal)
+        p = self.point.shape[0]
+        self.color, self.ka, self.kd, self.ks, self.exponent, self.kgr = material_rows(p, *material)
+        self.checker_color = color_rows(checker_color, p)
+        self.checker_size = number_rows(checker_size, p)
+
+    def __check_init__(self):
+        p = len(self.point)
+        vectors_of_planes = ("point", "normal", "color", "checker_color")
+        for name, shape in misshapen(self, vectors_of_planes, (p, 3)):
+            raise ValueError(f"{name} of the planes must have shape ({p}, 3), got {shape}")
+        for name, shape in misshapen(self, (*COEFFICIENTS, "checker_size"), (p,)):
+            raise ValueError(f"{name} of the planes must have shape ({p},), got {shape}")
+
+    def __len__(self) -> int:
+        return self.point.shape[0]
+
+
+class BackPlane(eqx.Module):
+    """The view plane made visible, `distance` before the eye and across the view."""
+
+    color: Float[Array, " 3"]
+    ka: Scalar
+    kd: Scalar
+
+    def __init__(self, color: ArrayLike | Sequence, ka: ArrayLike = 0.2, kd: ArrayLike = 0.8):
+        """Builds the back plane. **Arguments:** as the fields."""
+        self.color, self.ka, self.kd = floats(color, ka, kd)

@@ -1,0 +1,62 @@
+"""Hits and surfaces: the discrete and the smooth half of what a ray meets."""
+
+import equinox as eqx
+
+from ..base.types import Ids, Mask, PixelArray
+from ..base.vec import Vec, dot
+
+
+class Hit(eqx.Module):
+    """The discrete half of what a ray meets; integers and booleans have no derivative."""
+
+    id: Ids  #: the object's number, -1 for none
+    inside: Mask  #: true of a sphere that is seen from inside
+
+
+class Surface(eqx.Module):
+    """The smooth half of what a ray meets: differentiable in the scene."""
+
+    point: Vec  #: P
+    normal: Vec  #: N, of unit length, turned to the viewer
+    cos_view: PixelArray  #: N.V, at least 0
+
+
+class ShadowSegment(eqx.Module):
+    """The open segments from surface points to one light."""
+
+    point: Vec  #: P
+    light: Vec  #: the light's position, scalars
+    to_light: Vec  #: light - P
+    square: PixelArray  #: |light - P|^2
+
+
+def shadow_segment(point: Vec, light: Vec) -> ShadowSegment:
+    """Returns the segments from surface points to a light's position."""
+    to_light = light - point
+    return ShadowSegment(point, light, to_light, dot(to_light, to_light))
+
+
+class PixelHit(eqx.Module):
+    """The hit of a pixel's ray, beside an object whose silhouette may run through the pixel."""
+
+    t: PixelArray  #: the distance to the hit, infinite where there is none
+    is_other: Mask  #: true where another object is hit, or none
+    is_sphere: Mask  #: true where a sphere is hit
+    is_source: Mask | None  #: true where the ray starts on the object; None for the eye
+
+
+class PixelCoverage(eqx.Module):
+    """How one object covers pixels, as far as depth peeling asks."""
+
+    t: PixelArray  #: depth along the ray, world units
+    inside: Mask  #: true where the object is a sphere seen from inside
+    some: Mask  #: true where the object covers at least a part of the pixel
+    all: Mask  #: true where the object covers the whole pixel
+
+
+class ShadowCoverage(eqx.Module):
+    """How the shadow of one object covers pixels, as far as shadow edges ask."""
+
+    all: Mask  #: true where the whole pixel is dark
+    some: Mask  #: true where at least a part of the pixel is dark
+    center: Mask  #: true where the middle of what is seen is dark
