@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as strategy
+from spheretrace_jax.antialiasing.differential import Differential
 
 from spheretrace_jax.antialiasing import coverage, polygon
-from spheretrace_jax.antialiasing.differential import Differential
 from spheretrace_jax.antialiasing.polygon import HalfPlane
 
 clipped_area = jax.jit(polygon.clipped_area)

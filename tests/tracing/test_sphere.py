@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from spheretrace_jax.tracing.intersect import ray_sphere
 
 from spheretrace_jax.base.vec import Vec, dot, vec
-from spheretrace_jax.tracing.intersect import ray_sphere
 from spheretrace_jax.tracing.tables import mean_chord
 
 

@@ -8,7 +8,7 @@ import pytest
 import spheretrace_jax as st
 from spheretrace_jax.base.vec import Vec, vec
 from spheretrace_jax.tracing.tables import build_tables
-from spheretrace_jax.tracing.texture import lookup, other_square, sphere_uv
+from spheretrace_jax.tracing.texture import lookup, second_square, sphere_uv
 
 IMAGE = jnp.asarray(np.random.default_rng(0).uniform(size=(4, 8, 3)))
 
@@ -57,7 +57,7 @@ def test_checker_squares_alternate(normal):
         for j in (-1, 0, 1):
             point = np.array([10.0, 20, 30])
             point[inside_plane] += [4 * i + 2, 4 * j + 2]
-            other, color = other_square(tables, jnp.array(0), vec(jnp.asarray(point)))
+            other, color = second_square(tables, jnp.array(0), vec(jnp.asarray(point)))
             squares[i, j] = bool(other)
             assert float(color.x) == 1
     assert all(squares[i, j] != squares[i + 1, j] for i in (-1, 0) for j in (-1, 0, 1))
