@@ -6,13 +6,13 @@ larger length: the distance to the centre, or the radius.
 import jax
 import jax.numpy as jnp
 import numpy as np
-from spheretrace_jax.tracing.intersect import ray_sphere
 
 import spheretrace_jax as st
 from extremes.case import Case, case
 from extremes.exact import EXACT, line_distance, ray, sphere_roots, to_exact
 from spheretrace_jax.base.vec import parts, vec
 from spheretrace_jax.scene.camera import pixel_rays
+from spheretrace_jax.tracing.sphere import ray_sphere
 
 GEMS = "Ray Tracing Gems (2019), ch. 7"
 RAYS = 200
