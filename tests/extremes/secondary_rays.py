@@ -15,11 +15,8 @@ import spheretrace_jax as st
 from extremes.case import Case, case
 from spheretrace_jax.base.vec import Vec, unit, vec
 from spheretrace_jax.scene.camera import Ray
-from spheretrace_jax.scene.settings import render_settings
-from spheretrace_jax.tracing.context import TraceContext, build_context
-from spheretrace_jax.tracing.hit import Hit
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
-from spheretrace_jax.tracing.surface import surface_at
+from spheretrace_jax.tracing.tables import Hit, SceneTables, build_tables, surface_at
 
 PBRT = "Pharr, Jakob, Humphreys, Physically Based Rendering, 4th ed., 6.8, and its tests"
 TRIALS, FEWER = 1 << 21, 1 << 19
@@ -52,9 +49,8 @@ def lengths(v: np.ndarray) -> np.ndarray:
     return np.linalg.norm(v.astype(np.float64), axis=-1)
 
 
-def _context(center, radius, needs: st.Needs) -> TraceContext:
-    scene = st.Scene(st.Spheres(center, radius), st.Lights(jnp.zeros((1, 3))))
-    return build_context(scene, render_settings(scene, 1, 1, needs=needs))
+def _tables(center, radius) -> SceneTables:
+    return build_tables(st.Scene(st.Spheres(center, radius), st.Lights(jnp.zeros((1, 3)))))
 
 
 def _rows(v: Vec) -> jax.Array:
@@ -69,9 +65,9 @@ def arrive(center, radius, eye, aim, needs: st.Needs = NEEDS) -> tuple[Hit, jax.
     """
 
     def trial(center, radius, eye, aim):
-        context, ray = _context(center, radius, needs), Ray(vec(eye), unit(vec(aim - eye)))
-        hit = closest_hit(context, ray)
-        surface = surface_at(context, ray, hit)
+        tables, ray = _tables(center, radius), Ray(vec(eye), unit(vec(aim - eye)))
+        hit = closest_hit(tables, ray, needs)
+        surface = surface_at(tables, ray, hit, needs)
         return hit, _rows(surface.point), _rows(surface.normal)
 
     return jax.vmap(trial)(center, radius, eye, aim)
@@ -87,9 +83,9 @@ def depart(center, radius, hit, point, toward, light, needs: st.Needs = NEEDS) -
     """
 
     def trial(center, radius, hit, point, toward, light):
-        context, ray = _context(center, radius, needs), Ray(vec(point), unit(vec(toward)))
-        again = closest_hit(context, ray, hit).id
-        lit = light_visible(context, ray.origin, hit, vec(light))
+        tables, ray = _tables(center, radius), Ray(vec(point), unit(vec(toward)))
+        again = closest_hit(tables, ray, needs, hit).id
+        lit = light_visible(tables, ray.origin, hit, vec(light), needs)
         return again, _rows(ray.direction), lit
 
     return jax.vmap(trial)(center, radius, hit, point, toward, light)

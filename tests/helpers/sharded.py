@@ -17,8 +17,7 @@ import spheretrace_jax as st
 from spheretrace_jax.base.vec import Vec
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.problem.problem import normal_at
-from spheretrace_jax.rendering.pixel_filter import filter_pixels
-from spheretrace_jax.rendering.render import draw
+from spheretrace_jax.rendering.render import averaged, draw
 from spheretrace_jax.scene.settings import RenderSettings, render_settings
 from spheretrace_jax.xla.sharding import on_devices
 
@@ -82,12 +81,12 @@ def neighbours(sharding: NamedSharding | None) -> Results:
     settings = render_settings(scene, WIDTH, UNEVEN, sharding=sharding)
     arrays = Vec(*jnp.asarray(color[:, :height])), jnp.asarray(edge[:height])
 
-    def filtered(color: Vec, edge: Array, settings: RenderSettings) -> Array:
-        return filter_pixels(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)
+    def averages(color: Vec, edge: Array, settings: RenderSettings) -> Array:
+        return averaged(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)
 
     if sharding is None:
-        return {"mean": np.asarray(filtered(*arrays, settings))}
-    mean = lambda _, arrays: filtered(*arrays, settings.of_device)
+        return {"mean": np.asarray(averages(*arrays, settings))}
+    mean = lambda _, arrays: averages(*arrays, settings.of_device)
     found = jax.jit(lambda arrays: on_devices(mean, settings.sharding, None, arrays))(arrays)
     return {"mean": np.asarray(process_allgather(found, tiled=True))[:UNEVEN]}
 
