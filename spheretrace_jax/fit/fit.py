@@ -1,10 +1,10 @@
-"""From a scene and a picture to the scene that looks like the picture."""
+"""`fit`: finds the scene whose picture is nearest to a target picture."""
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,22 +24,31 @@ from .diagnosis.uncertainty import Uncertainty, estimate
 from .model.parameters import GEOMETRY
 from .model.target import Loss
 from .normal_equations.normal_equations import NormalEquations
-from .problem.problem import Problem, make_problem, normal_at
+from .problem.make_problem import make_problem
+from .problem.problem import Problem, normal_at
 from .solver.driver import Driver, Progress
-from .solver.gauge import GAUGES, Gauge, settle
+from .solver.gauge import GAUGES, Gauge, fix_gauge
 from .solver.levenberg_marquardt import BoundedLevenbergMarquardt
-from .solver.light_search import start_from_lights, start_from_nothing
-
-Start = Literal["scene", "lights", "auto"]
+from .solver.light_search import Start, problem_starts
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
 
-# What is estimated from a fit's residuals is estimated again after the next, at most so often.
+# How often at most what depends on a fit's residuals, the noise or the numbers to leave out, is
+# estimated again and fitted with. More rounds cost a fit each, fewer may end before the estimate
+# settles; the next two constants end most fits earlier.
 _MOST_ROUNDS = 6
+
+# The relative change of the noise below which an estimate is the last one. It moves robust losses'
+# thresholds by as little, and estimates from a median of 10,000 numbers scatter by 1 %.
+_NOISE_CHANGE = 0.02
+
+# The part of the cost to which leaving out other numbers must lower it to be repeated. Nearer to 1
+# it is repeated where the light stays and only the numbers left out differ.
+_TRIMMING_DECREASE = 0.5
 
 
 class Fit(eqx.Module):
-    """What a fit found, and what is to be thought of it."""
+    """The result of a fit, and what is to be thought of it."""
 
     scenes: list[Scene]  #: the best scenes found, one for each picture
     exposures: list[Float[Array, " 3"]]  #: what each picture is multiplied by, per channel
@@ -56,42 +65,42 @@ class Fit(eqx.Module):
 
     @property
     def scene(self) -> Scene:
-        """The best scene found; of several pictures the first one's."""
+        """Returns the best scene found; of several pictures the first one's."""
         return self.scenes[0]
 
     @property
     def exposure(self) -> Float[Array, " 3"]:
-        """What the picture is multiplied by, per channel; 1 unless it is free."""
+        """Returns what the picture is multiplied by, per channel; 1 unless it is free."""
         return self.exposures[0]
 
     @property
     def result_message(self) -> str:
-        """Why the solver stopped, if it did not converge."""
+        """Returns why the solver stopped, if it did not converge."""
         return str(optx.RESULTS[self.result])
 
     @property
     def converged(self) -> bool:
-        """Whether no better scene is within the tolerance."""
+        """Returns whether no better scene is within the tolerance."""
         return bool(self.result == optx.RESULTS.successful)
 
     @cached_property
     def normal(self) -> NormalEquations:
-        """The normal equations at the solution."""
+        """Returns the normal equations at the solution."""
         return normal_at(self.problem, self.values)
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """What the pictures determine, and in words what they do not."""
+        """Returns what the pictures determine, and in words what they do not."""
         return identify(self.uncertainty)
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
-        """How well the pictures determine it."""
+        """Returns how well the pictures determine the result."""
         return estimate(self.problem, self.values, self.normal, 1.0 if self.noise_given else None)
 
     @cached_property
     def trust(self) -> Trust:
-        """Whether the result is what it seems to be."""
+        """Returns whether the result is what it seems to be."""
         return judge(self)
 
 
@@ -127,9 +136,9 @@ def fit(
     and coefficients stay in 0..1, exponents stay positive. What the picture does not determine
     does not move from the start.
 
-    Edges have derivatives for as long as they stay within their pixels. So where centres, radii or
-    the camera are free, a fit goes first by pixels 5 times as wide, before that 25 times, as long
-    as 48 of them lie along each side. From there the pixels themselves take few steps.
+    Coarse to fine where centres, radii or the camera are free: edges have derivatives only for as
+    long as they stay within their pixels. A fit goes first by pixels 25 times as wide, then 5
+    times, each if 48 of them lie along each side. From there the pixels themselves take few steps.
 
     **Arguments:**
 
@@ -142,19 +151,19 @@ def fit(
       `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For
       centers, radii and the camera the scene's antialias flag must be 1, or no derivative tells
       how edges move.
-    - `own`: which of these each picture has of its own, among those of lights and camera; what
-      starts differently must be named here. The exposure always is.
+    - `own`: which of these have a value for each picture, among those of lights and camera;
+      parameters that start differently must be named here. Each picture has its exposure.
     - `highlight`, `bounces`, `samples`: as for `render`.
     - `mask`: bool of shape `(height, width)` or `(height, width, 3)`: which numbers count.
-    - `weights`: what each number counts, at least 0.
+    - `weights`: how much each number's square counts, at least 0.
     - `noise`: the standard deviation of the target's numbers; residuals and cost are then
       multiples of it.
-    - `darkest`: numbers up to this are under-exposed and do not count. 0 leaves out what is black.
+    - `darkest`: numbers up to `darkest` are under-exposed and do not count. 0 leaves out black.
     - `loss`: `"square"`; `"huber"` or `"cauchy"` for targets with outliers, in units of the noise,
       which is estimated from the residuals if it is not given.
-    - `start`: `"lights"` looks for the lights first, from where they are in the scene, each time
-      with the materials that suit them best, in closed form (variable projection); `"scene"` does
-      so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
+    - `start`: `"lights"` searches for the lights first, from where they are in the scene, each
+      time with the materials that suit them best, in closed form (variable projection). `"scene"`
+      does so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
       `scene` only the geometry, the number of lights and what is not free are used, and directions
       all around are tried for the lights.
     - `gauge`: where color, ka and kd are all free, their common scale does not show: `"ka"` keeps
@@ -183,10 +192,11 @@ def fit(
     **Raises:** `InputError` (a `ValueError`) for unusable targets and names.
     """
     problem = make_problem(
-        scene, target, tuple(free), tuple(own), highlight, bounces, samples, sharding,
-        mask=mask, weights=weights, noise=noise, darkest=darkest, loss=loss,
+        scene, target, tuple(free), per_picture=tuple(own), highlight=highlight, bounces=bounces,
+        samples=samples, sharding=sharding, mask=mask, weights=weights, noise=noise,
+        darkest=darkest, loss=loss,
     )  # fmt: skip
-    edges = _geometry(free)
+    edges = ", ".join(name for name in free if name in GEOMETRY)
     if edges and not all(p.scene.antialias for p in problem.parameters):
         warnings.warn(
             f"{edges} free: a picture of single rays has no derivative where edges "
@@ -200,21 +210,21 @@ def fit(
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
     best = None
     try:
-        for begin in _starts(problem, start):
+        for started in problem_starts(problem, start):
             if solver is None:
-                bounds = _begin(begin)[1]
+                bounds = _start_and_bounds(started)[1]
                 method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
             else:
                 method = solver
-            run = Driver(method, jacobian == "dense", rtol + atol, max_steps, callback)
-            found = _found(run, begin, gauge, noise)
-            if best is None or not found.cost >= best.cost:
-                best = found
-            # another start after the scene's own is for what it does not find, not for too few
+            driver = Driver(method, jacobian == "dense", rtol + atol, max_steps, callback)
+            result = _fit_from_start(driver, started, gauge, noise)
+            if best is None or not result.cost >= best.cost:
+                best = result
+            # another start after the scene's is for what that one does not find, not for too few
             # steps
-            if found.interrupted or (start == "scene" and found.steps >= max_steps):
+            if result.interrupted or (start == "scene" and result.steps >= max_steps):
                 break
-            if found.converged and explains(found.problem, found.values, found.cost):
+            if result.converged and explains(result.problem, result.values, result.cost):
                 break
     except KeyboardInterrupt:  # while the next start is sought
         if best is None:
@@ -226,124 +236,83 @@ def fit(
     return best
 
 
-def _geometry(free: Sequence[str]) -> str:
-    return ", ".join(name for name in free if name in GEOMETRY)
-
-
-def _starts(problem: Problem, start: Start) -> Iterator[Problem]:
-    """The problem from each of the starts that are to be tried."""
-    if start not in get_args(Start):
-        raise InputError(f"start must be one of {', '.join(get_args(Start))}, got {start!r}")
-    free = problem.parameters[0].free
-    if start == "scene":
-        yield problem
-        if not _projects(problem):
-            return
-    elif GEOMETRY & set(free):
-        raise InputError(f"start {start} needs a known geometry, got {_geometry(free)} free")
-    elif not len(problem.parameters[0].scene.lights):
-        raise InputError(
-            f"start {start} needs to know how many lights there are, the scene has none"
-        )
-    propose = start_from_nothing if start == "auto" else start_from_lights
-    own = "light_position" in problem.own
-    pictures = zip(problem.parameters, problem.targets, problem.settings, strict=True)
-    proposals = [
-        propose(parameters.scene, target, settings, free)
-        for parameters, target, settings in (pictures if own else [next(pictures)])
-    ]
-    for scenes in zip(*proposals, strict=False):
-        yield problem.starting_at(scenes)
-
-
-def _projects(problem: Problem) -> bool:
-    """Whether pictures are linear in what is free of the spheres, and the lights are free."""
-    parameters = problem.parameters[0]
-    known = not GEOMETRY & set(parameters.free) and "light_position" in parameters.free
-    plain = all(
-        not o.needs.textures and not (o.bounces and o.needs.bounces) for o in problem.settings
-    )
-    square = all(t.loss == "square" for t in problem.targets)
-    return known and plain and square and len(parameters.scene.spheres) > 0
-
-
 @compiled
-def _begin(problem: Problem) -> tuple[PyTree, tuple[PyTree, PyTree]]:
+def _start_and_bounds(problem: Problem) -> tuple[PyTree, tuple[PyTree, PyTree]]:
     return problem.start(), problem.bounds()
 
 
 @compiled
 def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, list]:
-    values = settle(problem, values, gauge)
-    return values, problem.place(values)
+    values = fix_gauge(problem, values, gauge)
+    return values, problem.scenes_at(values)
 
 
-def _found(run: Driver, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
-    """What is found from a problem's start."""
-    values, _ = _begin(problem)
-    estimated = problem.targets[0].loss != "square" and noise is None
+def _fit_from_start(driver: Driver, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
+    """Returns what is found from a problem's start."""
+    values, _ = _start_and_bounds(problem)
+    estimates_noise = problem.targets[0].loss != "square" and noise is None
     steps = 0
     try:
-        for _ in range(_MOST_ROUNDS if estimated else 1):
-            if estimated:
-                again = problem.with_noise_at(values)
-                if run.costs and np.allclose(again.noise, problem.noise, rtol=0.02):
+        for _ in range(_MOST_ROUNDS if estimates_noise else 1):
+            if estimates_noise:
+                estimated = problem.with_estimated_noise(values)
+                if driver.costs and np.allclose(estimated.noise, problem.noise, rtol=_NOISE_CHANGE):
                     break
-                problem = again
-            values = run.solve(problem, values)
-            steps = len(run.costs)
-            if run.interrupted or not run.converged:
+                problem = estimated
+            values = driver.solve(problem, values)
+            steps = len(driver.costs)
+            if driver.interrupted or not driver.converged:
                 break
-        if run.converged and not run.interrupted and not estimated:
-            values = _past_shadows(run, problem, values)
-            steps = len(run.costs)
+        if driver.converged and not driver.interrupted and not estimates_noise:
+            values = _past_shadow_edges(driver, problem, values)
+            steps = len(driver.costs)
     except KeyboardInterrupt:  # between two solutions: what the first one found is kept
-        run.interrupted = True
-        del run.costs[steps:]
-    values, placed = _finish(problem, values, gauge)
+        driver.interrupted = True
+        del driver.costs[steps:]
+    values, pairs = _finish(problem, values, gauge)
     return Fit(
-        scenes=[scene for scene, _ in placed],
-        exposures=[exposure for _, exposure in placed],
-        result=run.result,
-        steps=len(run.costs),
-        cost=run.costs[-1] if run.costs else float("nan"),
-        costs=tuple(run.costs),
+        scenes=[scene for scene, _ in pairs],
+        exposures=[exposure for _, exposure in pairs],
+        result=driver.result,
+        steps=len(driver.costs),
+        cost=driver.costs[-1] if driver.costs else float("nan"),
+        costs=tuple(driver.costs),
         left_out=sum(t.image.size for t in problem.targets) - problem.counted,
         counted=problem.counted,
-        interrupted=run.interrupted,
+        interrupted=driver.interrupted,
         problem=problem,
         values=values,
         noise_given=noise is not None,
     )
 
 
-def _past_shadows(run: Driver, problem: Problem, values: PyTree) -> PyTree:
-    """A second look where single rays may hold a light on the wrong side of a shadow's edge.
+def _past_shadow_edges(driver: Driver, problem: Problem, values: PyTree) -> PyTree:
+    """Fits again where single rays may hold a light on the wrong side of a shadow's edge.
 
-    As the edge moves, such a picture jumps from pixel to pixel, without a derivative. The few
-    numbers that fit worst are left out, others each time as long as that helps (least trimmed
-    squares, Rousseeuw 1984); where the rest leads is kept if all then fit better.
+    As the edge moves, a picture of single rays jumps from pixel to pixel, without a derivative.
+    Least trimmed squares (Rousseeuw 1984): the few numbers that fit worst are left out, others
+    each time as long as that helps. What the rest leads to is kept if all then fit better.
     """
-    shadows = any(o.needs.shadows and not o.antialias for o in problem.settings)
+    shadows = any(s.needs.shadows and not s.antialias for s in problem.settings)
     if not shadows or "light_position" not in values:
         return values
-    cost, before, result = run.costs[-1], len(run.costs), run.result
+    cost, before, result = driver.costs[-1], len(driver.costs), driver.result
     if explains(problem, values, cost) and not resting_on_outliers(
         find_outliers(problem, values, cost), problem, values
     ):
         return values
-    elsewhere, least = values, np.inf
+    trimmed, least = values, np.inf
     for _ in range(_MOST_ROUNDS):
-        elsewhere = run.solve(problem.without_worst_at(elsewhere), elsewhere)
-        if run.interrupted or not run.costs[-1] < 0.5 * least:
+        trimmed = driver.solve(problem.trimmed(trimmed), trimmed)
+        if driver.interrupted or not driver.costs[-1] < _TRIMMING_DECREASE * least:
             break
-        least = run.costs[-1]
-    without = len(run.costs)
-    if run.converged and not run.interrupted:
-        elsewhere = run.solve(problem, elsewhere)
-    better = run.converged and len(run.costs) > without and run.costs[-1] < cost
+        least = driver.costs[-1]
+    after = len(driver.costs)
+    if driver.converged and not driver.interrupted:
+        trimmed = driver.solve(problem, trimmed)
+    better = driver.converged and len(driver.costs) > after and driver.costs[-1] < cost
     # what is reported is the least cost so far, of all that counts
-    after = [min(cost, c) for c in run.costs[without:]] if better else []
-    run.costs[before:] = [cost] * (len(run.costs) - before - len(after)) + after
-    run.result = run.result if better else result
-    return elsewhere if better else values
+    last = [min(cost, c) for c in driver.costs[after:]] if better else []
+    driver.costs[before:] = [cost] * (len(driver.costs) - before - len(last)) + last
+    driver.result = driver.result if better else result
+    return trimmed if better else values

@@ -16,11 +16,8 @@ from jaxtyping import Array, Bool
 from ..base.errors import InputError
 from ..base.types import Index
 from . import feature_tests
-from .camera import Camera
-from .lights import Lights
-from .planes import Planes
+from .parameters import parameter_names
 from .scene import Scene
-from .spheres import Spheres
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +70,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
             "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
         )
     scene.check_dtype()
-    free = _names(free)
+    free = parameter_names(free)
     spheres, planes = scene.spheres, scene.planes
 
     ks, kgr, kt = (_nonzero(scene, name, free) for name in ("ks", "kgr", "kt"))
@@ -127,18 +124,6 @@ def _colors(scene: Scene) -> tuple[Array, ...]:
     spheres, planes, back_plane = scene.spheres, scene.planes, scene.back_plane
     colors = (spheres.color, planes.color, planes.checker_color, scene.background)
     return colors if back_plane is None else (*colors, back_plane.color)
-
-
-def _names(free: Iterable[str]) -> frozenset[str]:
-    """**Raises:** `InputError` for names of no parameter, and for a bare string."""
-    parts = (Spheres, Lights, Planes, Camera)
-    known = {field.name for part in parts for field in dataclasses.fields(part)}
-    known |= {"background", "light_position", "light_color"}
-    names = frozenset([free] if isinstance(free, str) else free)
-    unknown = sorted(names - known)
-    if unknown:
-        raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
-    return names
 
 
 def left_out(scene: Scene) -> list[tuple[str, bool, str]]:

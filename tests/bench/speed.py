@@ -22,7 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 import spheretrace_jax as st
-from spheretrace_jax.fit.problem.problem import make_problem, normal_at
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.problem.problem import normal_at
 from spheretrace_jax.study.benchmarks.mitsuba import mitsuba_scene
 from spheretrace_jax.xla.jit import compiler_options
 
@@ -91,7 +92,7 @@ def normal_equations(scene: st.Scene, size: int) -> Work:
     start = eqx.tree_at(lambda s: s.lights.position, scene, scene.lights.position + 1)
     target = np.asarray(st.render(scene, width=size, height=size, bounces=0))
     free = ("color", "ka", "kd", "ks", "light_position")
-    problem = make_problem(start, target, free, (), "phong", 0, 1)
+    problem = make_problem(start, target, free, bounces=0)
     values = problem.start()
     return lambda: normal_at(problem, values)
 

@@ -21,8 +21,9 @@ from helpers.commands import FIT, REPORT, WRITING, disk_full, files, spheretrace
 import spheretrace_jax as st
 from spheretrace_jax.cli import commands
 from spheretrace_jax.files import atomic
+from spheretrace_jax.fit.solver import light_search
 
-solve = importlib.import_module("spheretrace_jax.fit.fit")  # the function has the same name
+fitting = importlib.import_module("spheretrace_jax.fit.fit")  # the function has the same name
 
 
 @pytest.fixture(autouse=True)
@@ -157,9 +158,9 @@ def test_a_fit_that_is_interrupted_between_two_starts_keeps_the_first(folder, mo
     scene = st.load_scene("start.txt", np.float64)
     target = st.read_image("target.exr")
     costs = []
-    monkeypatch.setattr(solve, "explains", lambda *_: False)
-    monkeypatch.setattr(solve, "_projects", lambda *_: True)
-    monkeypatch.setattr(solve, "from_lights", lambda *_: interrupt())
+    monkeypatch.setattr(fitting, "explains", lambda *_: False)
+    monkeypatch.setattr(light_search, "is_separable", lambda *_: True)
+    monkeypatch.setattr(light_search, "starts_from_lights", lambda *_: interrupt())
     found = st.fit(scene, target, free=("kd", "ks"), callback=lambda p: costs.append(p.cost))
     assert found.interrupted and found.cost == min(costs) and not found.trust.ok
     assert found.trust.verdict.startswith("interrupted: the best scene so far after ")
@@ -168,7 +169,7 @@ def test_a_fit_that_is_interrupted_between_two_starts_keeps_the_first(folder, mo
 def test_a_fit_that_is_interrupted_after_it_converged_keeps_what_it_found(folder, monkeypatch):
     scene = st.load_scene("start.txt", np.float64)
     target = st.read_image("target.exr")
-    monkeypatch.setattr(solve, "_past_shadows", lambda *_: interrupt())
+    monkeypatch.setattr(fitting, "_past_shadow_edges", lambda *_: interrupt())
     found = st.fit(scene, target, free=("kd", "ks"))
     truth = st.load_scene("scene.txt", np.float64)
     np.testing.assert_allclose(found.scene.spheres.kd, truth.spheres.kd, rtol=1e-6)

@@ -11,8 +11,8 @@ import spheretrace_jax as st
 from extremes.case import Case, case
 from extremes.pictures import PIXELS, SIDE, Extreme, picture_case, three
 from spheretrace_jax.base.vec import dot, unit, vec
+from spheretrace_jax.tracing.hit import Surface
 from spheretrace_jax.tracing.shading import blinn, light_terms
-from spheretrace_jax.tracing.tables import Surface
 
 AHEAD = st.Camera(0.0, 0.0, 500.0, 900.0, 300.0)  #: the middle pixel looks down the z axis
 BALL = dict(center=[[0.0, 0, 0], [-150, 40, 0], [150, -60, 30]], radius=[100.0, 45, 60])

@@ -249,14 +249,14 @@ def test_any_number_of_the_solver_stands_for_a_valid_scene():
     )
     parameters = Parameters(scene, free)
     values = parameters.start()
-    same, exposure = parameters.place(values)
+    same, exposure = parameters.scene_at(values)
     assert (exposure == 1).all()
     assert all(
         np.allclose(a, b, rtol=1e-14)
         for a, b in zip(*map(jax.tree.leaves, (scene, same)), strict=True)
     )
     wild = jax.tree.map(lambda y: 3.7 * y - 2.2, values)
-    valid, _ = parameters.place(wild)
+    valid, _ = parameters.scene_at(wild)
     s = valid.spheres
     for value in (s.color, s.ka, s.ks, s.kt):
         assert 0 <= value.min() and value.max() <= 1

@@ -1,7 +1,6 @@
 """Centres, radii, the camera and shadows' light, found from antialiased pictures."""
 
 import dataclasses
-import sys
 
 import equinox as eqx
 import jax
@@ -14,6 +13,9 @@ from helpers.scenes import nine_spheres, three_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.model.parameters import Parameters
+from spheretrace_jax.fit.problem import problem
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.solver import driver
 from spheretrace_jax.fit.solver.levenberg_marquardt import (
     BoundedLevenbergMarquardt,
     CautiousTrustRegion,
@@ -21,11 +23,6 @@ from spheretrace_jax.fit.solver.levenberg_marquardt import (
 from spheretrace_jax.rendering.render import draw
 from spheretrace_jax.scene.camera import view_frame
 from spheretrace_jax.scene.settings import render_settings
-
-# functions of the same names hide these modules
-PROBLEM, RUN = (
-    sys.modules[f"spheretrace_jax.fit.{name}"] for name in ("problem.problem", "solver.driver")
-)
 
 SPHERES = ("center", "radius")
 CAMERA = ("theta", "phi", "mu", "distance")
@@ -98,17 +95,17 @@ def test_centres_and_radii_come_back_to_1e_8():
 def test_a_fit_starts_with_wider_pixels_where_there_are_enough(monkeypatch):
     truth = two_over_a_floor()
     target, boxes = st.render(truth, **SMALL), []
-    looked = RUN.normal_at
+    looked = driver.normal_at
 
     def look(problem, values):
         boxes.append(float(problem.settings[0].box))
         return looked(problem, values)
 
-    monkeypatch.setattr(RUN, "normal_at", look)
+    monkeypatch.setattr(driver, "normal_at", look)
     alone = st.fit(displaced_two(), target, free=SPHERES)
     assert set(boxes) == {1.0}
     boxes.clear()
-    monkeypatch.setattr(PROBLEM, "_FEWEST", 9)
+    monkeypatch.setattr(problem, "_LEAST_BOXES", 9)
     found = st.fit(displaced_two(), target, free=SPHERES)
     assert sphere_error(found.scene, truth) < 1e-8
     assert boxes == sorted(boxes, reverse=True) and set(boxes) == {5.0, 1.0}
@@ -119,7 +116,7 @@ def test_pixels_are_as_wide_as_the_picture_and_gaps_in_it_allow():
     def boxes(size, gaps=0.0, free=SPHERES):
         mask = np.random.default_rng(0).uniform(size=(size, size)) >= gaps
         scene, black = two_over_a_floor(), np.zeros((size, size, 3))
-        made = PROBLEM.make_problem(scene, black, free, (), "phong", 0, 1, mask=mask)
+        made = make_problem(scene, black, free, bounces=0, mask=mask)
         return [float(wide.settings[0].box) for wide in made.coarser()]
 
     assert boxes(1200) == [25, 5]
@@ -129,12 +126,12 @@ def test_pixels_are_as_wide_as_the_picture_and_gaps_in_it_allow():
 
 
 def test_a_solver_of_the_users_own_sees_no_wider_pixels(monkeypatch):
-    monkeypatch.setattr(PROBLEM, "_FEWEST", 1)
+    monkeypatch.setattr(problem, "_LEAST_BOXES", 1)
     plain = optx.LevenbergMarquardt(1e-8, 1e-8)
-    assert not RUN.Driver(plain, False, 1e-8, 9, None).widens
+    assert not driver.Driver(plain, False, 1e-8, 9, None).coarse_to_fine
     own = BoundedLevenbergMarquardt(1e-8, 1e-8, {}, {}, cautious=True)
-    assert RUN.Driver(own, False, 1e-8, 9, None).widens
-    assert not RUN.Driver(own, True, 1e-8, 9, None).widens
+    assert driver.Driver(own, False, 1e-8, 9, None).coarse_to_fine
+    assert not driver.Driver(own, True, 1e-8, 9, None).coarse_to_fine
 
 
 def test_wider_pixels_are_those_of_a_smaller_picture():

@@ -28,7 +28,7 @@ def chart(far: float, dtype=np.float64, unit: float = 1.0) -> tuple[LightPositio
 
 def at_least(around: LightPosition) -> jax.Array:
     """The bound on the third number, the other two at the start."""
-    return jnp.zeros_like(around.u).at[2].set(around.least()[2])
+    return jnp.zeros_like(around.u).at[2].set(around.lower_bound()[2])
 
 
 def slopes(around: LightPosition, y: jax.Array) -> np.ndarray:
@@ -117,14 +117,14 @@ def test_at_the_bound_the_light_is_very_far_and_can_come_back(far, dtype):
 def test_a_light_beyond_infinity_starts_at_the_bound(dtype):
     for far in (1e8, 1e15, 1e30, *([1e160] if dtype == np.float64 else [])):
         around, _ = chart(far, dtype)
-        assert around.least()[2] == 0
+        assert around.lower_bound()[2] == 0
         away = (np.asarray(around.position(jnp.zeros(3, dtype)), np.float64) - MIDDLE) / SIZE
         np.testing.assert_allclose(away / INFINITY, ALONG, rtol=1e-6)
 
 
 def test_a_light_at_the_middle_has_no_direction_to_be_bounded_in():
     around, _ = chart(0.0)
-    assert (around.least() == -jnp.inf).all()
+    assert (around.lower_bound() == -jnp.inf).all()
     assert (around.position(jnp.zeros(3)) == MIDDLE).all()
     # derivatives by the chart itself, as `solution` takes them, have no 0/0 either
     tangent = jax.tree.map(jnp.ones_like, around)
@@ -142,7 +142,7 @@ def test_the_chart_is_blind_to_the_unit_of_length(far, unit):
     numbers = slopes(one, y)
     largest = np.abs(numbers).max()
     np.testing.assert_allclose(slopes(other, y) / largest, numbers / largest, atol=1e-12)
-    np.testing.assert_allclose(other.least()[2], one.least()[2], rtol=1e-12)
+    np.testing.assert_allclose(other.lower_bound()[2], one.lower_bound()[2], rtol=1e-12)
 
 
 def scaled(scene: st.Scene, unit: float) -> st.Scene:

@@ -7,9 +7,9 @@ import pytest
 from helpers.scenes import three_apart as world
 
 import spheretrace_jax as st
-from spheretrace_jax.fit.fit import _starts
 from spheretrace_jax.fit.model.products import determined_products
-from spheretrace_jax.fit.problem.problem import make_problem
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.solver.light_search import problem_starts
 
 PLAIN = dict(bounces=0)
 SIZE = dict(width=64, height=64)
@@ -61,7 +61,7 @@ def test_from_lights_that_are_near_few_steps_are_left():
 def test_lights_are_looked_for_first_where_all_at_once_explains_nothing():
     target = np.full((8, 8, 3), 0.5)
     starts = lambda scene, free, bounces=0: list(
-        _starts(make_problem(scene, target, free, (), "phong", bounces, 1), "scene")
+        problem_starts(make_problem(scene, target, free, bounces=bounces), "scene")
     )
     scene, free = world([900.0, -400, 700]), ("color", "light_position")
     mirrors = eqx.tree_at(lambda s: s.spheres.kgr, scene, jnp.full(3, 0.5))

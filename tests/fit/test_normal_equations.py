@@ -9,7 +9,8 @@ from helpers.scenes import SCENES, nine_spheres
 from jax.flatten_util import ravel_pytree
 
 from spheretrace_jax.fit.normal_equations.pixel_buckets import bucket_pixels
-from spheretrace_jax.fit.problem.problem import compressed_residual, make_problem
+from spheretrace_jax.fit.problem.compression import compressed_residual
+from spheretrace_jax.fit.problem.make_problem import make_problem
 
 SHADED = ("color", "ka", "kd", "ks", "light_position")
 SOLID = ("color", "ka", "light_position", "center", "radius", "theta", "exposure")
@@ -56,7 +57,7 @@ SLOW = {
 def problem_of(scene, free, options, counts):
     target = np.random.default_rng(0).uniform(0, 0.9, (20, 24, 3)).astype(scene.dtype)
     options = dict(samples=1, bounces=0) | options
-    return make_problem(scene, target, free, (), "phong", **options, **counts)
+    return make_problem(scene, target, free, **options, **counts)
 
 
 @eqx.filter_jit
@@ -107,7 +108,7 @@ def test_pixels_that_do_not_count_are_not_looked_at():
     scene = nine_spheres(SHADOWED)
     problem = problem_of(scene, SHADED, {}, dict(mask=mask))
     counts = problem.targets[0].counts
-    lists = bucket_pixels(scene, problem.layout(0), problem.settings[0], counts)
+    lists = bucket_pixels(scene, problem.index(0), problem.settings[0], counts)
     looked_at = np.asarray(lists.order)[: int(lists.starts[-1])]
     np.testing.assert_array_equal(np.sort(looked_at), np.flatnonzero(mask))
 

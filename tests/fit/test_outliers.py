@@ -7,7 +7,7 @@ import pytest
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.diagnosis.outliers import find_outliers, resting_on_outliers
-from spheretrace_jax.fit.problem.problem import make_problem
+from spheretrace_jax.fit.problem.make_problem import make_problem
 
 PLAIN = dict(bounces=0)
 # of the second sphere only a few pixels tell ks
@@ -72,5 +72,5 @@ def test_what_fits_has_none(whole):
 def test_where_pixels_are_areas_what_is_left_at_edges_is_no_stray():
     target = PICTURE + np.random.default_rng(0).standard_cauchy(PICTURE.shape)
     scene = TRUTH.with_antialias(1)
-    problem = make_problem(scene, target, ("ks",), (), "phong", bounces=0, samples=1)
+    problem = make_problem(scene, target, ("ks",), bounces=0)
     assert not find_outliers(problem, problem.start(), 1.0)[0].any()

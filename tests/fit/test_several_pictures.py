@@ -8,7 +8,8 @@ import pytest
 import spheretrace_jax as st
 from spheretrace_jax.fit.fit import DEFAULT_FREE
 from spheretrace_jax.fit.model.products import determined_products
-from spheretrace_jax.fit.problem.problem import Problem, make_problem, normal_at
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.problem.problem import Problem, normal_at
 from spheretrace_jax.study.wrong_start import wrong_start
 
 PLAIN = dict(bounces=0, samples=1)
@@ -63,7 +64,7 @@ def errors(found: st.Scene, truth: st.Scene) -> np.ndarray:
 
 
 def problem_of(scenes, targets, **counts) -> Problem:
-    return make_problem(scenes, targets, DEFAULT_FREE, (), "phong", 0, 1, **counts)
+    return make_problem(scenes, targets, DEFAULT_FREE, bounces=0, **counts)
 
 
 def normal_of(scenes, targets, **counts):
@@ -167,8 +168,8 @@ def test_each_picture_has_an_exposure_of_its_own(pictures):
 def test_known_lights_may_differ():
     """Only what is free and shared must start alike."""
     targets = [np.full((4, 4, 3), 0.5)] * 2
-    problem = make_problem(LIGHTS, targets, ("color",), (), "phong", 0, 1)
-    for (scene, _), truth in zip(problem.place(problem.start()), LIGHTS, strict=True):
+    problem = make_problem(LIGHTS, targets, ("color",), bounces=0)
+    for (scene, _), truth in zip(problem.scenes_at(problem.start()), LIGHTS, strict=True):
         assert eqx.tree_equal(scene.lights, truth.lights)
 
 

@@ -12,8 +12,9 @@ from spheretrace_jax.fit.fit import DEFAULT_FREE
 from spheretrace_jax.fit.model.parameters import extent
 from spheretrace_jax.fit.model.products import determined_products
 from spheretrace_jax.fit.model.target import Target, make_target
-from spheretrace_jax.fit.problem.problem import Problem, make_problem, normal_at
-from spheretrace_jax.fit.solver.gauge import settle
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.problem.problem import Problem, normal_at
+from spheretrace_jax.fit.solver.gauge import fix_gauge
 from spheretrace_jax.study.wrong_start import wrong_start
 
 PLAIN = dict(bounces=0, samples=1)
@@ -50,7 +51,7 @@ def some() -> np.ndarray:
 def test_boxes_of_pixels_are_means_at_their_middles():
     image = jnp.arange(7 * 6 * 3.0).reshape(7, 6, 3)
     weight = jnp.ones((7, 6, 3)).at[0, 5].set(0)
-    boxes = Target(image, weight, jnp.ones(()), "square").of_boxes(3)
+    boxes = Target(image, weight, jnp.ones(()), "square").box_means(3)
     assert {tuple(map(int, at)) for at in np.argwhere(np.asarray(boxes.counts))} == {
         (1, 1), (4, 1), (4, 4)  # the box at (1, 4) holds a pixel that does not count
     }  # fmt: skip
@@ -72,7 +73,7 @@ def fit(target, **settings) -> st.Fit:
 
 
 def problem_of(target, **counts) -> Problem:
-    return make_problem(START, target, DEFAULT_FREE, (), "phong", 0, 1, **counts)
+    return make_problem(START, target, DEFAULT_FREE, bounces=0, **counts)
 
 
 def normal_of(target, **counts):
@@ -340,12 +341,12 @@ def test_the_noise_is_estimated_where_the_picture_shows_something():
     image[bad] = rng.uniform(size=(np.count_nonzero(bad), 3))
     image[0, 0], image[20, 20] = 1e6, 1e5
     target = make_target(image, DOUBLE, loss="huber")
-    noise = float(target.with_noise_of(jnp.asarray(shown), jnp.ones(3)).noise)
+    noise = float(target.with_estimated_noise(jnp.asarray(shown), jnp.ones(3)).noise)
     # a tenth of outliers shifts the median to the 56th percentile of the others: by 13 %
     np.testing.assert_allclose(noise, 1.13 * 0.01, rtol=0.1)
     # as seen through the exposure, and in units of the weights
     target = make_target(image, DOUBLE, weights=9.0, loss="huber")
-    other = float(target.with_noise_of(jnp.asarray(shown) / 2, jnp.full(3, 2.0)).noise)
+    other = float(target.with_estimated_noise(jnp.asarray(shown) / 2, jnp.full(3, 2.0)).noise)
     np.testing.assert_allclose(other, 3 * noise, rtol=1e-12)
 
 
@@ -354,7 +355,7 @@ def test_the_noise_is_never_0(shown):
     """Of targets that fit exactly, black ones too."""
     picture = jnp.full((4, 4, 3), shown)
     target = make_target(np.asarray(picture), DOUBLE, loss="cauchy")
-    assert float(target.with_noise_of(picture, jnp.ones(3)).noise) > 0
+    assert float(target.with_estimated_noise(picture, jnp.ones(3)).noise) > 0
 
 
 # exposure
@@ -389,13 +390,13 @@ def test_gauges_give_scenes_that_look_the_same(picture):
 
 
 def settled(gauge: str, wanted, color, ka, kd) -> tuple[np.ndarray, ...]:
-    """color, ka and kd after `settle`, from a start with a given ka."""
+    """color, ka and kd after `fix_gauge`, from a start with a given ka."""
     start = eqx.tree_at(lambda s: s.spheres.ka, START, jnp.asarray(wanted))
-    problem = make_problem(start, np.full((4, 4, 3), 0.5), DEFAULT_FREE, (), "phong", 0, 1)
+    problem = make_problem(start, np.full((4, 4, 3), 0.5), DEFAULT_FREE, bounces=0)
     values = problem.start() | dict(
         color=jnp.asarray(color), ka=jnp.asarray(ka), kd=jnp.asarray(kd)
     )
-    values = settle(problem, values, gauge)
+    values = fix_gauge(problem, values, gauge)
     return tuple(np.asarray(values[n]) for n in ("color", "ka", "kd"))
 
 

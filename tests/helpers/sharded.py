@@ -15,7 +15,8 @@ from jaxtyping import Array
 
 import spheretrace_jax as st
 from spheretrace_jax.base.vec import Vec
-from spheretrace_jax.fit.problem.problem import make_problem, normal_at
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.problem.problem import normal_at
 from spheretrace_jax.rendering.pixel_filter import filter_pixels
 from spheretrace_jax.rendering.render import draw
 from spheretrace_jax.scene.settings import RenderSettings, render_settings
@@ -148,7 +149,7 @@ def edges(sharding: NamedSharding | None) -> Results:
     scene = st.Scene(sphere, st.Lights([[200.0, 300, 500]]), antialias=1)
     target = draw_picture(scene, UNEVEN, sharding)
     other = eqx.tree_at(lambda s: s.spheres.radius, scene, replace_fn=lambda x: x * 1.02)
-    problem = make_problem(other, target, ("center", "kd"), (), "phong", 5, 1, sharding)
+    problem = make_problem(other, target, ("center", "kd"), bounces=5, sharding=sharding)
     normal = normal_at(problem, problem.start())
     normal = {k: np.asarray(getattr(normal, k)) for k in ("square", "gradient", "cost")}
     return {"picture": target, **normal} | gradients(sharding, scene, UNEVEN)

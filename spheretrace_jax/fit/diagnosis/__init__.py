@@ -1,1 +1,1 @@
-"""What a fit is worth: trust, uncertainty, and what the pictures do not determine."""
+"""Diagnosis of a fit: trust, uncertainty, and what the pictures do not determine."""

@@ -1,4 +1,4 @@
-"""What there is in the pictures of a fit, and what is seen and lit of it."""
+"""Evidence: the objects in the pictures of a fit, and which of them are seen and lit."""
 
 from collections.abc import Callable, Collection
 from typing import Any
@@ -18,77 +18,86 @@ from ...tracing.queries import closest_hit, light_visible
 from ...tracing.shading import lambert, toward_light
 from ...tracing.surface import surface_at
 from ...xla.jit import compiled
-from ..problem.labels import picture_suffix, unknown_places
+from ..problem.labels import picture_suffix, unknown_indices
 from ..problem.problem import Problem
 
-Numbers = dict[str, Any]
+Arrays = dict[str, Any]
 """Free parameters by name, or how they change."""
 
-Places = dict[str, np.ndarray]
-"""Where their numbers are in the unknowns."""
+Indices = dict[str, np.ndarray]
+"""The indices of parameters' numbers in the unknowns, by name."""
 
-Move = Callable[[int], Numbers]
-"""From the number of a picture to how some of its free parameters change."""
+Direction = Callable[[int], Arrays]
+"""A direction in the free parameters: from the number of a picture to how its parameters change."""
 
 
 class VisibleObjects(eqx.Module):
-    """What a picture's rays from the eye meet."""
+    """The objects that a picture's rays from the eye meet."""
 
-    seen: Bool[ArrayLike, " objects"]  #: which objects
-    counts: Bool[ArrayLike, " objects"]  #: which of them where the target counts
-    lit: Bool[ArrayLike, "lights objects"]  #: which of these each light reaches there
+    seen: Bool[ArrayLike, " objects"]  #: which objects the rays meet
+    counts: Bool[ArrayLike, " objects"]  #: which objects they meet where the target counts
+    lit: Bool[ArrayLike, "lights objects"]  #: which of the latter each light reaches there
 
 
 class Evidence:
-    """What there is, and what is seen of it, at some values of the unknowns."""
+    """The scenes at a solution, what is seen of them, and which unknowns do not show."""
 
-    def __init__(self, problem: Problem, values: PyTree, hidden: np.ndarray):
-        self.own, self.hidden = problem.own, hidden
+    def __init__(self, problem: Problem, values: PyTree, null: np.ndarray):
+        self.per_picture = problem.per_picture
+        self.null = null  #: which unknowns no picture depends on
         self.free = problem.parameters[0].free
-        self.places = unknown_places(problem)
-        self.scenes = [scene for scene, _ in problem.place(values)]
-        each = zip(self.scenes, problem.settings, problem.targets, strict=True)
-        self.shown = [jax.tree.map(np.asarray, _shown(s, o, t.weight)) for s, o, t in each]
-        #: the pictures' free parameters
+        self.indices = unknown_indices(problem)
+        self.scenes = [scene for scene, _ in problem.scenes_at(values)]
+        pictures = zip(self.scenes, problem.settings, problem.targets, strict=True)
+        self.visible = [
+            jax.tree.map(np.asarray, _shown(scene, settings, target.weight))
+            for scene, settings, target in pictures
+        ]
+        #: the pictures' free parameters, in the scene's units
         self.natural = [
-            jax.tree.map(_double, p.natural(problem.of_picture(values, k)))
+            jax.tree.map(_double, p.natural(problem.picture_unknowns(values, k)))
             for k, p in enumerate(problem.parameters)
         ]
 
     @property
-    def every(self) -> list[int]:
-        """The numbers of all pictures."""
+    def all_pictures(self) -> list[int]:
+        """Returns the numbers of all pictures."""
         return list(range(len(self.scenes)))
 
-    def apart(self, *names: str) -> list[tuple[str, list[int]]]:
-        """The pictures one by one if all the names are their own, else together: in words, and
-        their numbers.
+    def picture_groups(self, *names: str) -> list[tuple[str, list[int]]]:
+        """Groups pictures that share one of the names, else each picture apart.
+
+        **Returns:** for each group its words, and the numbers of its pictures.
         """
-        own = set(names) <= self.own
-        return [(picture_suffix(k), [k]) for k in self.every] if own else [("", self.every)]
+        if set(names) <= self.per_picture:
+            return [(picture_suffix(k), [k]) for k in self.all_pictures]
+        return [("", self.all_pictures)]
 
     @property
-    def nothing_stays(self) -> bool:
-        """Whether the world is free to move with the eye: all that has a place or axes is free."""
+    def moves_with_eye(self) -> bool:
+        """Returns whether all that has a position or axes is free to move with the eye."""
         scene = self.scenes[0]
         fixed = len(scene.planes) or scene.back_plane or scene.sky or any(scene.spheres.pic)
         lights = "light_position" in self.free or not len(scene.lights)
         return "center" in self.free and lights and not fixed and len(self.scenes) == 1
 
-    def unseen(self, at: list[int]) -> list[int]:
-        """The lights that reach nothing that is seen in some pictures."""
-        lit = np.any([self.shown[k].lit.any(axis=1) for k in at], axis=0)
+    def idle_lights(self, pictures: list[int]) -> list[int]:
+        """Returns the lights that reach nothing that is seen in these pictures."""
+        lit = np.any([self.visible[k].lit.any(axis=1) for k in pictures], axis=0)
         return np.flatnonzero(~lit).tolist()
 
-    def row(self, names: Collection[str], k: int, i: int) -> Places:
-        """Where an object's numbers are in the unknowns of picture k, by name."""
-        return {n: np.atleast_1d(self.places[n][k][i]) for n in sorted(names)}
+    def indices_of(self, names: Collection[str], k: int, i: int) -> Indices:
+        """Returns the indices of object i's numbers in the unknowns of picture k, by name."""
+        return {n: np.atleast_1d(self.indices[n][k][i]) for n in sorted(names)}
 
-    def change(self, move: Move) -> Float[np.ndarray, " natural"]:
-        """How all free parameters of all pictures change, in the order of their layouts."""
-        moved = [(move(k), natural) for k, natural in enumerate(self.natural)]
-        parts = [m.get(n, np.zeros_like(natural[n])) for m, natural in moved for n in self.free]
-        return np.concatenate([np.ravel(part) for part in parts])
+    def flat(self, direction: Direction) -> Float[np.ndarray, " natural"]:
+        """Returns a direction as one vector, over all pictures' free parameters.
+
+        Its numbers are in the order of the pictures' `ParameterIndex`.
+        """
+        pairs = [(direction(k), natural) for k, natural in enumerate(self.natural)]
+        arrays = [m.get(n, np.zeros_like(natural[n])) for m, natural in pairs for n in self.free]
+        return np.concatenate([np.ravel(array) for array in arrays])
 
 
 @compiled

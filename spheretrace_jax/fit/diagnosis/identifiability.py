@@ -1,4 +1,4 @@
-"""What pictures determine of what is free, and in words what they do not."""
+"""Identifiability: what pictures determine of what is free, and in words what they do not."""
 
 import equinox as eqx
 import numpy as np
@@ -7,13 +7,17 @@ from jaxtyping import Float
 from ..problem.labels import labels_of, picture_suffix
 from .uncertainty import Uncertainty
 
-# Logarithms, angles and parts of their range that are known to no better than this are as good as
-# not determined.
+# The standard deviation of an unknown, a logarithm, an angle in radians or a part of its range,
+# from which it is as good as not determined: half of its range. A smaller one names more as weak.
 _WEAK = 0.5
+
+# The components of a null direction, as parts of its largest, that are named. Smaller ones come
+# from other directions of the basis; a lower limit names them too.
+_LARGE = 0.3
 
 
 class Identifiability(eqx.Module):
-    """What pictures determine."""
+    """The rank of a fit's Jacobian, and words for what pictures do not determine."""
 
     rank: int  #: how many independent combinations of the free numbers show
     free: int  #: how many free numbers there are
@@ -27,37 +31,38 @@ class Identifiability(eqx.Module):
 
 
 def identify(uncertainty: Uncertainty) -> Identifiability:
-    """What the pictures determine at a solution.
+    """Returns what the pictures determine at a solution.
 
-    Reasons that are known by structure are named; what else J^T J leaves open is named by its
-    largest parts.
+    Reasons that are known by structure are named; the rest of the null space of J^T J is named by
+    its largest components.
     """
     problem, spectrum = uncertainty.problem, uncertainty.spectrum
-    words, names = list(uncertainty.reasons), labels_of(problem)
-    for direction in _sparse(_rest(spectrum.null, uncertainty.explained)).T:
-        large = np.abs(direction) > 0.3 * np.abs(direction).max()
-        parts = list(dict.fromkeys(names[large]))
-        what = parts[0] if len(parts) == 1 else f"a combination of {', '.join(parts)}"
-        words.append(f"{what} is not determined")
+    sentences, labels = list(uncertainty.reasons), labels_of(problem)
+    for direction in _sparse(_unexplained(spectrum.null_space, uncertainty.explained)).T:
+        large = np.abs(direction) > _LARGE * np.abs(direction).max()
+        named = list(dict.fromkeys(labels[large]))
+        words = named[0] if len(named) == 1 else f"a combination of {', '.join(named)}"
+        sentences.append(f"{words} is not determined")
     return Identifiability(
         rank=spectrum.rank,
         free=spectrum.scale.size,
         singular_values=np.sqrt(spectrum.values),
-        undetermined=tuple(dict.fromkeys(words)),
+        undetermined=tuple(dict.fromkeys(sentences)),
         weak=tuple(_weak(uncertainty)),
     )
 
 
-def _rest(null: np.ndarray, explained: np.ndarray) -> np.ndarray:
-    """A basis of what is not explained of the directions that do not show."""
+def _unexplained(null: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    """Returns a basis of the null directions beyond those that are explained."""
     left, _, _ = np.linalg.svd(null - explained @ (explained.T @ null), full_matrices=False)
     return left[:, : max(null.shape[1] - explained.shape[1], 0)]
 
 
 def _sparse(basis: np.ndarray) -> np.ndarray:
-    """A basis of the same space with as many zeros as there are other directions in each.
+    """Returns a sparse basis of the same space, by elimination (Gauss, Jordan).
 
-    By elimination (Gauss, Jordan): independent reasons that share no unknowns come apart.
+    Each direction has as many zeros as there are others: independent reasons that share no
+    unknowns come apart.
     """
     basis = basis.copy()
     for k in range(basis.shape[1]):
@@ -70,28 +75,26 @@ def _sparse(basis: np.ndarray) -> np.ndarray:
 
 
 def _weak(uncertainty: Uncertainty) -> list[str]:
-    """What is determined in principle, but to no better than its own size."""
-    deviations = uncertainty.of_unknowns
-    names = labels_of(uncertainty.problem)
+    """Returns sentences for what is determined in principle, but to no better than its size."""
+    problem, deviations = uncertainty.problem, uncertainty.of_unknowns
     weak = np.isfinite(deviations) & (deviations > _WEAK)
-    words = [
-        f"{name} is lost in the noise"
-        for name in dict.fromkeys(names[weak])
-        if "position" not in name
+    sentences = [
+        f"{label} is lost in the noise"
+        for label in dict.fromkeys(labels_of(problem)[weak])
+        if "position" not in label
     ]
-    problem = uncertainty.problem
     if "light_position" not in problem.parameters[0].free:
-        return words
-    own = "light_position" in problem.own
-    for k, parameters in enumerate(problem.parameters if own else problem.parameters[:1]):
-        of = picture_suffix(k) if own else ""
+        return sentences
+    apart = "light_position" in problem.per_picture
+    for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
+        suffix = picture_suffix(k) if apart else ""
         for i in range(len(parameters.scene.lights)):
             angle, distance = uncertainty.of_light(k, i)
             if angle <= _WEAK < distance:
-                words.append(
-                    f"light {i + 1}{of}: distance undetermined, direction known to "
+                sentences.append(
+                    f"light {i + 1}{suffix}: distance undetermined, direction known to "
                     f"{np.degrees(angle):.2g} degrees"
                 )
             elif _WEAK < angle < np.inf:
-                words.append(f"light {i + 1}'s position{of} is lost in the noise")
-    return words
+                sentences.append(f"light {i + 1}'s position{suffix} is lost in the noise")
+    return sentences

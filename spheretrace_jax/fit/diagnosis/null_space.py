@@ -1,228 +1,274 @@
-"""Why a number may not show in any picture: what is known without looking at J^T J."""
+"""Reasons for the null space of J: directions that may not show, known without looking at J^T J."""
 
-from collections.abc import Callable, Collection, Iterator
-from typing import Any
+import dataclasses
+from collections.abc import Iterator
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, PyTree
 
 from ...scene.camera import view_frame
+from ...scene.scene import Scene
 from ..model.parameters import LIGHTS
 from ..problem.labels import CHANNELS, joined, labels_of
 from ..problem.problem import Problem
-from .evidence import Evidence, Move, Numbers
+from .evidence import Arrays, Direction, Evidence
 from .null_columns import null_light_columns, null_sphere_columns
 
-# Lights are at one place if no coordinates differ by more than this part of the largest.
+# The largest difference of two lights' coordinates, as a part of the largest coordinate, up to
+# which they are at one place. A larger one names lights that a fit tells apart; a smaller one
+# misses those that a fit in float32 brings together.
 _ONE_PLACE = 1e-6
 
 
 class Reason(eqx.Module):
-    """A sentence that may be true."""
+    """A sentence that is true if its directions do not show."""
 
     sentence: str
-    directions: Float[np.ndarray, "free directions"]  #: of the unknowns, which do not show then
-    certain: bool = False  #: whether it is true whatever J says, but for its own errors
+    directions: Float[np.ndarray, "free directions"]  #: of the unknowns
+    certain: bool = False  #: whether it is true whatever J says, but for the errors of J
 
 
 def null_space_reasons(
     problem: Problem,
     values: PyTree,
-    hidden: Bool[np.ndarray, " free"],
-    slopes: list[Float[np.ndarray, "_ free"]],
+    null: Bool[np.ndarray, " free"],
+    jacobians: list[Float[np.ndarray, "_ free"]],
 ) -> Iterator[Reason]:
-    """What may be true, and is if its directions do not show.
+    """Yields what may be true, and is if its directions do not show.
 
-    **Arguments:** `hidden`: which unknowns no picture depends on. `slopes`: of each picture's
-    free parameters the derivatives by the unknowns.
+    **Arguments:** `null`: which unknowns no picture depends on. `jacobians`: the derivatives of
+    each picture's free parameters by the unknowns.
     """
-    point = Evidence(problem, values, hidden)
-    unit, left, names = np.eye(hidden.size), hidden.copy(), labels_of(problem)
-    for sentence, at in (*null_sphere_columns(point), *null_light_columns(point)):
+    evidence = Evidence(problem, values, null)
+    unit, left, labels = np.eye(null.size), null.copy(), labels_of(problem)
+    for sentence, at in (*null_sphere_columns(evidence), *null_light_columns(evidence)):
         left[at] = False
         yield Reason(sentence, unit[:, at])
-    for name in dict.fromkeys(names[left]):
-        yield Reason(f"{name} is not determined", unit[:, left & (names == name)])
+    for label in dict.fromkeys(labels[left]):
+        yield Reason(f"{label} is not determined", unit[:, left & (labels == label)])
 
-    slope = np.concatenate(slopes)
-    length = np.linalg.norm(slope, axis=0)
-    slope = slope / np.where(length > 0, length, 1)
+    jacobian = np.concatenate(jacobians)
+    length = np.linalg.norm(jacobian, axis=0)
+    jacobian = jacobian / np.where(length > 0, length, 1)
     # nearly diagonal, so that its square loses no digits
-    back = np.linalg.solve(slope.T @ slope + np.diag(1.0 * (length == 0)), slope.T)
-    back = back / np.where(length > 0, length, 1)[:, None]
-    for of in (_scales, _lights, _world):
-        for sentence, moves in of(point):
-            directions = back @ np.stack([point.change(move) for move in moves], axis=1)
-            # what does not show at all has had a sentence of its own
-            directions = np.where(hidden[:, None], 0, directions)
-            yield Reason(sentence, directions, certain=of is _world and point.nothing_stays)
+    inverse = np.linalg.solve(jacobian.T @ jacobian + np.diag(1.0 * (length == 0)), jacobian.T)
+    inverse = inverse / np.where(length > 0, length, 1)[:, None]
+    for reasons in (_scale_reasons, _light_reasons, _motion_reasons):
+        for sentence, directions in reasons(evidence):
+            flat = inverse @ np.stack([evidence.flat(d) for d in directions], axis=1)
+            # what does not show at all has had a sentence already
+            flat = np.where(null[:, None], 0, flat)
+            certain = reasons is _motion_reasons and evidence.moves_with_eye
+            yield Reason(sentence, flat, certain=certain)
 
 
-def _scales(point: Evidence) -> Iterator[tuple[str, list[Move]]]:
-    """Colours, coefficients and exposures that grow as others shrink, in proportion."""
-    free = set(point.free)
+@dataclasses.dataclass(frozen=True)
+class _Exchange:
+    """A direction in which one parameter grows as others shrink, in proportion."""
 
-    def grow(up: str, down: Collection[str], at: list[int], *part: Any) -> Move:
-        """**Arguments:** `at`: in which pictures. `part`: the indices of what takes part."""
+    evidence: Evidence
+    up: str
+    down: list[str]
+    pictures: list[int]
+    index: tuple  #: of the numbers that change, in each parameter's array
 
-        def only(x: np.ndarray) -> np.ndarray:
-            some = np.zeros_like(x)
-            some[part] = x[part]
-            return some
+    def __call__(self, k: int) -> Arrays:
+        if k not in self.pictures:
+            return {}
+        natural = self.evidence.natural[k]
+        shrinking = {n: -self._only(natural[n]) for n in self.down}
+        return {self.up: self._only(natural[self.up])} | shrinking
 
-        def move(k: int) -> Numbers:
-            if k not in at:
-                return {}
-            natural = point.natural[k]
-            return {up: only(natural[up])} | {n: -only(natural[n]) for n in down}
+    def _only(self, x: np.ndarray) -> np.ndarray:
+        only = np.zeros_like(x)
+        only[self.index] = x[self.index]
+        return only
 
-        return move
 
-    for i in range(len(point.scenes[0].spheres)) if "color" in free else ():
-        mine = point.row({"ka", "kd"} & free, 0, i)
-        names = [n for n, at in mine.items() if not point.hidden[at].any()]
+def _scale_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]]:
+    """Yields colours, coefficients and exposures that grow as others shrink, in proportion."""
+    free = set(evidence.free)
+    for i in range(len(evidence.scenes[0].spheres)) if "color" in free else ():
+        indices = evidence.indices_of({"ka", "kd"} & free, 0, i)
+        names = [n for n, at in indices.items() if not evidence.null[at].any()]
         if names:
             yield (
                 f"sphere {i + 1}: the scale of color against {joined(names)} is not determined",
-                [grow("color", names, point.every, i)],
+                [_Exchange(evidence, "color", names, evidence.all_pictures, (i,))],
             )
-    what = {
+    words = {
         "exposure": "the exposure",
         "light_color": "the lights' color",
         "color": "the spheres' color",
     }
     pairs = (("exposure", "light_color"), ("exposure", "color"), ("light_color", "color"))
     for up, down in pairs:
-        for of, at in point.apart(up, down) if {up, down} <= free else ():
+        for suffix, pictures in evidence.picture_groups(up, down) if {up, down} <= free else ():
             for c, channel in enumerate(CHANNELS):
                 yield (
-                    f"{what[up]} against {what[down]} is not determined in {channel}{of}",
-                    [grow(up, [down], at, ..., c)],
+                    f"{words[up]} against {words[down]} is not determined in {channel}{suffix}",
+                    [_Exchange(evidence, up, [down], pictures, (..., c))],
                 )
-    # what follows from those above says nothing new
+    # what follows from the reasons above says nothing new
     weights = sorted({"ka", "kd", "ks"} & free)
     for up in ("light_color", "exposure"):
         if up in free and weights:
             yield (
-                f"{what[up]} against the spheres' {joined(weights)} is not determined",
-                [grow(up, weights, point.every, ...)],
+                f"{words[up]} against the spheres' {joined(weights)} is not determined",
+                [_Exchange(evidence, up, weights, evidence.all_pictures, (...,))],
             )
 
 
-def _lights(point: Evidence) -> Iterator[tuple[str, list[Move]]]:
-    """Lights of which only what they do together shows."""
-    for name in sorted(LIGHTS.keys() & set(point.free)):
-        for of, at in point.apart(name):
-            for why, group in _alike(point, at):
-                who = f"lights {joined([str(i + 1) for i in group])}{of}"
-                moves = [
-                    _exchange(point, name, at, group[0], other, c)
+@dataclasses.dataclass(frozen=True)
+class _LightExchange:
+    """A direction in which one light gains what another loses.
+
+    Positions change in proportion to how bright the other light is.
+    """
+
+    evidence: Evidence
+    name: str
+    pictures: list[int]
+    gaining: int
+    losing: int
+    component: int  #: a colour's channel or a position's coordinate
+
+    def __call__(self, k: int) -> Arrays:
+        if k not in self.pictures:
+            return {}
+        one, other, c = self.gaining, self.losing, self.component
+        gain = np.zeros_like(self.evidence.natural[k][self.name])
+        bright = np.linalg.norm(np.asarray(self.evidence.scenes[k].lights.color), axis=1)
+        gain[one, c], gain[other, c] = 1, -1
+        if self.name == "light_position":
+            gain[one, c], gain[other, c] = bright[other], -bright[one]
+        return {self.name: gain}
+
+
+@dataclasses.dataclass(frozen=True)
+class _AmbientExchange:
+    """A direction in which the ambient light grows by what one light gains, and ka shrinks."""
+
+    evidence: Evidence
+    pictures: list[int]
+    light: int
+
+    def __call__(self, k: int) -> Arrays:
+        natural = self.evidence.natural[k]
+        gain = np.zeros_like(natural["light_color"])
+        if k in self.pictures:
+            gain[self.light] = natural["light_color"].sum(axis=0)
+        return {"light_color": gain, "ka": -natural["ka"]}
+
+
+def _light_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]]:
+    """Yields lights of which only what they do together shows."""
+    for name in sorted(LIGHTS.keys() & set(evidence.free)):
+        for suffix, pictures in evidence.picture_groups(name):
+            for why, group in _alike_lights(evidence, pictures):
+                lights = f"lights {joined([str(i + 1) for i in group])}{suffix}"
+                directions: list[Direction] = [
+                    _LightExchange(evidence, name, pictures, group[0], other, c)
                     for other in group[1:]
                     for c in range(3)
                 ]
                 end = "how they share their color" if name == "light_color" else "how they part"
-                yield f"{who} {why}: {end} is not determined", moves
-    if {"light_color", "ka"} <= set(point.free):
-        for of, at in point.apart("light_color"):
-            for i in point.unseen(at)[:1]:
+                yield f"{lights} {why}: {end} is not determined", directions
+    if {"light_color", "ka"} <= set(evidence.free):
+        for suffix, pictures in evidence.picture_groups("light_color"):
+            for i in evidence.idle_lights(pictures)[:1]:
                 yield (
-                    f"light {i + 1}{of} reaches nothing that is seen: its color against the "
+                    f"light {i + 1}{suffix} reaches nothing that is seen: its color against the "
                     "spheres' ka is not determined",
-                    [_ambient(point, at, i)],
+                    [_AmbientExchange(evidence, pictures, i)],
                 )
 
 
-def _alike(point: Evidence, at: list[int]) -> Iterator[tuple[str, list[int]]]:
-    """Lights that are at one place, or of which none reaches what is seen, in some pictures."""
-    place = np.concatenate([np.asarray(point.scenes[k].lights.position) for k in at], axis=1)
-    left = [i for i in range(len(place)) if i not in point.unseen(at)]
+def _alike_lights(evidence: Evidence, pictures: list[int]) -> Iterator[tuple[str, list[int]]]:
+    """Yields groups of lights that are at one place, or reach nothing that is seen."""
+    positions = np.concatenate(
+        [np.asarray(evidence.scenes[k].lights.position) for k in pictures], axis=1
+    )
+    idle = evidence.idle_lights(pictures)
+    left = [i for i in range(len(positions)) if i not in idle]
     while left:
-        apart = np.abs(place[left] - place[left[0]]).max(axis=1)
-        same = apart <= _ONE_PLACE * np.abs(place[left[0]]).max()
+        difference = np.abs(positions[left] - positions[left[0]]).max(axis=1)
+        same = difference <= _ONE_PLACE * np.abs(positions[left[0]]).max()
         group = [i for i, s in zip(left, same, strict=True) if s]
         left = [i for i in left if i not in group]
         if len(group) > 1:
             yield "are at one place", group
-    if len(point.unseen(at)) > 1:
-        yield "reach nothing that is seen", point.unseen(at)
+    if len(idle) > 1:
+        yield "reach nothing that is seen", idle
 
 
-def _exchange(point: Evidence, name: str, at: list[int], one: int, other: int, part: int) -> Move:
-    """What one light gains the other loses; of places, in proportion to how bright they are."""
-
-    def move(k: int) -> Numbers:
-        if k not in at:
-            return {}
-        gain = np.zeros_like(point.natural[k][name])
-        bright = np.linalg.norm(np.asarray(point.scenes[k].lights.color), axis=1)
-        gain[one, part], gain[other, part] = 1, -1
-        if name == "light_position":
-            gain[one, part], gain[other, part] = bright[other], -bright[one]
-        return {name: gain}
-
-    return move
+def _row(v) -> np.ndarray:
+    return np.array([[v.x, v.y, v.z]], float)
 
 
-def _ambient(point: Evidence, at: list[int], light: int) -> Move:
-    """The ambient light grows by what a light gains, and ka shrinks."""
-
-    def move(k: int) -> Numbers:
-        natural = point.natural[k]
-        gain = np.zeros_like(natural["light_color"])
-        if k in at:
-            gain[light] = natural["light_color"].sum(axis=0)
-        return {"light_color": gain, "ka": -natural["ka"]}
-
-    return move
+def _backward(scene: Scene) -> np.ndarray:
+    """Returns the camera's axis, from the origin to the eye, as one row."""
+    return -_row(view_frame(scene.camera).forward)
 
 
-def _world(point: Evidence) -> Iterator[tuple[str, list[Move]]]:
-    """Everything that moves together with the eye, or grows."""
-    row = lambda v: np.array([[v.x, v.y, v.z]], float)
-    frames = [view_frame(scene.camera) for scene in point.scenes]
-    back = [-row(frame.forward) for frame in frames]
-    mu = [float(scene.camera.mu) for scene in point.scenes]
-    free = set(point.free)
+@dataclasses.dataclass(frozen=True)
+class _Growth:
+    """A direction in which all lengths grow around one point on each camera's axis."""
 
-    def everything(place: Callable[[np.ndarray, int], np.ndarray], **others: Callable) -> Move:
-        """**Arguments:** `place`: how places change, in a picture. `others`: how others do."""
-        changes = dict.fromkeys(("center", "light_position"), place) | others
+    evidence: Evidence
+    around: list[float]  #: the points' distances from the origin, one for each picture
 
-        def move(k: int) -> Numbers:
-            return {n: changes[n](point.natural[k][n], k) for n in changes.keys() & free}
+    def __call__(self, k: int) -> Arrays:
+        natural, around = self.evidence.natural[k], self.around[k]
+        back = _backward(self.evidence.scenes[k])
+        growing = {n: natural[n] for n in ("radius",) if n in natural}
+        growing |= {n: natural[n] - around for n in ("mu",) if n in natural}
+        positions = {n: natural[n] for n in ("center", "light_position") if n in natural}
+        return growing | {n: x - around * back for n, x in positions.items()}
 
-        return move
 
-    def grown(around: Callable[[int], float]) -> Move:
-        """**Arguments:** `around`: the centre's place on a picture's axis, from the origin."""
-        return everything(
-            lambda x, k: x - around(k) * back[k],
-            radius=lambda x, k: x,
-            mu=lambda x, k: x - around(k),
-        )
+@dataclasses.dataclass(frozen=True)
+class _CameraMotion:
+    """A direction in which spheres and lights move with the eye as one camera parameter grows."""
 
+    evidence: Evidence
+    name: str  #: mu, theta or phi
+
+    def __call__(self, k: int) -> Arrays:
+        natural, scene = self.evidence.natural[k], self.evidence.scenes[k]
+        positions = {n: natural[n] for n in ("center", "light_position") if n in natural}
+        moved = {n: self._velocity(x, scene) for n, x in positions.items()}
+        return moved | {self.name: np.ones_like(natural[self.name])}
+
+    def _velocity(self, position: np.ndarray, scene: Scene) -> np.ndarray:
+        if self.name == "mu":
+            return np.broadcast_to(_backward(scene), position.shape)
+        if self.name == "theta":
+            return np.cross([[0.0, 0, 1]], position)
+        return np.cross(_row(view_frame(scene.camera).right), position)
+
+
+def _motion_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]]:
+    """Yields motions of everything together with the eye, and the growth of everything."""
+    free = set(evidence.free)
     scale = "the scale of the world is not determined"
     if "radius" in free:
-        yield scale, [grown(lambda k: mu[k])]
-    moves = {
-        "mu": lambda x, k: np.broadcast_to(back[k], x.shape),
-        "theta": lambda x, k: np.cross([[0.0, 0, 1]], x),
-        "phi": lambda x, k: np.cross(row(frames[k].right), x),
-    }
-    for name, place in moves.items():
+        mu = [float(scene.camera.mu) for scene in evidence.scenes]
+        yield scale, [_Growth(evidence, mu)]
+    for name in ("mu", "theta", "phi"):
         if name in free:
             yield (
                 f"the camera's {name} against the world is not determined",
-                [everything(place, **{name: lambda x, k: np.ones_like(x)})],
+                [_CameraMotion(evidence, name)],
             )
     if {"radius", "mu"} <= free:
         # around where a plane stays, or what several eyes look at
-        planes = point.scenes[0].planes
+        planes, back = evidence.scenes[0].planes, _backward(evidence.scenes[0])
         feet = [
             float(np.dot(p, n) / slope)
             for p, n in zip(np.asarray(planes.point), np.asarray(planes.normal), strict=True)
-            if (slope := (back[0] @ n)[0])
+            if (slope := (back @ n)[0])
         ]
-        for t in (*feet, 0.0):
-            yield scale, [grown(lambda k, t=t: t)]
+        for around in (*feet, 0.0):
+            yield scale, [_Growth(evidence, [around] * len(evidence.scenes))]

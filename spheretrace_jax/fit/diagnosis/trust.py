@@ -1,4 +1,4 @@
-"""Whether a fit is what it seems to be: converged, inside its bounds, explaining the picture."""
+"""Trust: whether a fit converged, lies inside its bounds, and explains the picture."""
 
 import re
 from functools import cached_property
@@ -9,22 +9,31 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from ...base.types import Picture
-from ..model.target import Target
+from ..model.target import SIGMA_OF_MEDIAN, Target
 from ..problem.labels import joined, labels_of
 from ..problem.problem import Problem
 from .outliers import find_outliers, resting_on_outliers
 
-# A residual whose neighbours agree is no noise: of this part of the picture, or of 8-bit ones of
-# that, it says that the scene does not explain the picture.
+# The structured residual, whose neighbours agree, as a part of the picture's root-mean-square, from
+# which the scene does not explain the picture; and that of 8-bit pictures, whose rounding has a
+# structure of up to half a level. Lower limits distrust fits for the errors of the file.
 _UNEXPLAINED, _UNEXPLAINED_8_BIT = 1e-3, 1e-2
 
-# Free numbers fit as much of any noise as there are of them, give or take so many standard
-# deviations: a scene that fits no more than that of a picture explains nothing.
+# The margin for chance, in standard deviations. Free numbers fit as much of any noise as there are
+# of them, give or take this margin: a scene that fits no more of a picture explains nothing.
 _CHANCE = 5
+
+# The share of its power that noise may have in common with neighbours, in standard deviations of
+# this share; it is taken off. Less would find structure in noise, 4 do so in one of 30,000.
+_NOISE_SHARE = 4
+
+# The residual from which a number is structure whatever its neighbours, in standard deviations of
+# normal noise; and the residual to which robust losses' outliers are clipped.
+_OUTLYING, _ROBUST_CLIP = 6, 3
 
 
 class Trust(eqx.Module):
-    """What to think of a fit."""
+    """The verdict on a fit, and remarks."""
 
     ok: bool  #: converged, and explains the picture
     verdict: str  #: one sentence
@@ -33,7 +42,7 @@ class Trust(eqx.Module):
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
-        """Numbers at their bounds, and what is not determined."""
+        """Returns words for numbers at their bounds, and for what is not determined."""
         known, bounds = self.fit.identifiability, _at_bounds(self.fit)
         remarks = [f"at its bound: {', '.join(bounds)}"] if bounds else []
         return (*remarks, *known.undetermined, *known.weak)
@@ -43,29 +52,29 @@ class Trust(eqx.Module):
 
 
 def together(sentences: tuple[str, ...]) -> list[str]:
-    """Sentences of which those that say the same of several spheres are said once."""
+    """Merges sentences that say the same of several spheres."""
     spheres: dict[str, list[str]] = {}
     for sentence in sentences:
-        who, colon, what = sentence.partition(": ")
-        one = re.fullmatch(r"sphere (\d+)", who) if colon else None
-        spheres.setdefault(what if one else sentence, []).append(one[1] if one else "")
+        subject, colon, remark = sentence.partition(": ")
+        sphere = re.fullmatch(r"sphere (\d+)", subject) if colon else None
+        spheres.setdefault(remark if sphere else sentence, []).append(sphere[1] if sphere else "")
     return [
-        what if not who[0] else f"sphere{'s' * (len(who) > 1)} {', '.join(who)}: {what}"
-        for what, who in spheres.items()
+        remark if not of[0] else f"sphere{'s' * (len(of) > 1)} {', '.join(of)}: {remark}"
+        for remark, of in spheres.items()
     ]
 
 
 def judge(fit) -> Trust:
-    """What to think of a `Fit`."""
-    parts = _unexplained(fit.problem, fit.values)
-    worst = int(np.argmax([part for part, _, _ in parts]))
-    unexplained, where, limit = parts[worst]
+    """Returns what to think of a `Fit`."""
+    structures = _structures(fit.problem, fit.values)
+    worst = int(np.argmax([share for share, _, _ in structures]))
+    unexplained, where, limit = structures[worst]
     explains = unexplained <= limit
     nothing = _explains_nothing(fit)
     ok, resting = fit.converged and not fit.interrupted and explains and not nothing, []
     if ok:
-        off = find_outliers(fit.problem, fit.values, fit.cost)
-        resting = resting_on_outliers(off, fit.problem, fit.values)
+        outliers = find_outliers(fit.problem, fit.values, fit.cost)
+        resting = resting_on_outliers(outliers, fit.problem, fit.values)
     misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
     left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
     if fit.interrupted:
@@ -86,27 +95,27 @@ def judge(fit) -> Trust:
 
 
 def _explains_nothing(fit) -> bool:
-    """Whether the fit leaves as much of the pictures as it would of noise."""
-    all_of_it, left = fit.problem.length**2, 2 * fit.cost
+    """Returns whether the fit leaves as much of the pictures as it would of noise."""
+    power, left = fit.problem.norm**2, 2 * fit.cost
     free = fit.problem.at_bounds(fit.values).size
-    if not all_of_it or fit.problem.targets[0].loss != "square":
+    if not power or fit.problem.targets[0].loss != "square":
         return False
     chance = (free + _CHANCE * np.sqrt(2 * free)) * left / fit.counted
-    return bool(all_of_it - left <= chance)
+    return bool(power - left <= chance)
 
 
 def explains(problem: Problem, values: PyTree, cost: float) -> bool:
-    """Whether some values, of a known cost, explain the pictures."""
-    # whatever its structure, no more is left than all of it
-    most = (np.sqrt(2 * cost / t.counted) / _size(t) for t in problem.targets)
-    if all(part <= _UNEXPLAINED for part in most):
+    """Returns whether values of a known cost explain the pictures."""
+    # whatever its structure, no more is left than all of the residual
+    most = (np.sqrt(2 * cost / t.counted) / _scale(t) for t in problem.targets)
+    if all(share <= _UNEXPLAINED for share in most):
         return True
-    return all(part <= limit for part, _, limit in _unexplained(problem, values))
+    return all(share <= limit for share, _, limit in _structures(problem, values))
 
 
-def _size(target: Target) -> float:
-    """What misfits are parts of: of a black picture they are no parts."""
-    return target.size or 1.0
+def _scale(target: Target) -> float:
+    """Returns what misfits are divided by; 1 for a black picture."""
+    return target.rms or 1.0
 
 
 def _at_bounds(fit) -> list[str]:
@@ -114,10 +123,8 @@ def _at_bounds(fit) -> list[str]:
     return list(dict.fromkeys(labels_of(fit.problem)[at]))
 
 
-def _unexplained(problem: Problem, values: PyTree) -> list[tuple[float, str, float]]:
-    """Of each picture the structured part of its residual, where most of it is, and how much is
-    too much.
-    """
+def _structures(problem: Problem, values: PyTree) -> list[tuple[float, str, float]]:
+    """Returns of each picture how much structure its residual has, where, and how much may be."""
     pairs = zip(problem.targets, problem.pictures(values), strict=True)
     return [_structure(target, *picture) for target, picture in pairs]
 
@@ -125,15 +132,16 @@ def _unexplained(problem: Problem, values: PyTree) -> list[tuple[float, str, flo
 def _structure(
     target: Target, picture: Picture, exposure: Float[Array, " 3"]
 ) -> tuple[float, str, float]:
-    """What of a residual is no noise, whose numbers agree with no neighbours and have no outliers.
+    """Returns the structure of a residual, as a part of the picture; where; and how much may be.
 
-    The structure is the part of the power that is shared with the right and lower neighbours, and
-    that of numbers beyond six standard deviations, as the median has them.
+    Noise has none: its numbers agree with no neighbours and have no outliers. The structure is the
+    share of the power that the right and lower neighbours have too, and the power of outliers.
     """
     residual = np.asarray(target.misfit(picture, exposure), np.float64)
     robust = target.loss != "square"
     if robust:  # outliers are no fault of the scene's
-        residual = np.clip(residual, -3 * float(target.noise), 3 * float(target.noise))
+        clip = _ROBUST_CLIP * float(target.noise)
+        residual = np.clip(residual, -clip, clip)
     counts = np.asarray(target.weight) > 0
     shared, power, pairs = 0.0, 0.0, 0
     for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
@@ -141,23 +149,23 @@ def _structure(
         shared += np.sum(residual[a] * residual[b] * both)
         power += np.sum((residual[a] ** 2 + residual[b] ** 2) * both) / 2
         pairs += np.sum(both)
-    share = shared / power - 4 / np.sqrt(pairs) if power > 0 else 0.0
+    share = shared / power - _NOISE_SHARE / np.sqrt(pairs) if power > 0 else 0.0
     square = residual[counts] ** 2
-    most = np.inf if robust else 36 * 1.4826**2 * np.median(square)
-    outliers = np.where(square > most, square, 0)
+    limit = np.inf if robust else _OUTLYING**2 * SIGMA_OF_MEDIAN**2 * np.median(square)
+    outliers = np.where(square > limit, square, 0)
     structure = max(share, 0) * np.mean(square) + np.mean(outliers)
-    row, column = np.unravel_index(_smooth(residual).argmax(), residual.shape[:2])
+    row, column = np.unravel_index(_smooth_power(residual).argmax(), residual.shape[:2])
     # neighbouring levels of 8 bits are further apart than rounding, also where it is dark
     coarse = len(np.unique(np.round(np.asarray(target.image), 5))) <= 256
     return (
-        float(np.sqrt(structure) / _size(target)),
+        float(np.sqrt(structure) / _scale(target)),
         f"most of it near column {column}, row {row}",
         _UNEXPLAINED_8_BIT if coarse else _UNEXPLAINED,
     )
 
 
-def _smooth(residual: np.ndarray) -> np.ndarray:
-    """The residual's power, averaged over a pixel and its eight neighbours."""
+def _smooth_power(residual: np.ndarray) -> np.ndarray:
+    """Returns the residual's power, summed over a pixel and its eight neighbours."""
     power = np.pad(np.sum(residual**2, axis=-1), 1)
     height, width = residual.shape[:2]
     near = [power[i : i + height, j : j + width] for i in range(3) for j in range(3)]

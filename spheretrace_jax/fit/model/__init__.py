@@ -1,1 +1,1 @@
-"""What a fit works with: free parameters, lights in projective space, targets."""
+"""The model of a fit: free parameters, light positions in projective space, target pictures."""

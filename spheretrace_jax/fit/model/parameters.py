@@ -1,6 +1,6 @@
-"""The free parameters of a fit: which they are, how they are scaled and bounded.
+"""The free parameters of a fit: how each is scaled to unknowns of order one, and bounded.
 
-A solver works on dimensionless numbers of order one, a dict `name -> array`. Bounds are respected
+A solver works on dimensionless unknowns of order one, a dict `name -> array`. Bounds are respected
 twice: `bounds` tells solvers that know boxes, and for all others numbers outside 0..1 are folded
 back like a sheet of paper, so that any number stands for a valid scene. Folding is the identity
 inside the bounds and has slope +-1 everywhere: where the truth lies on a bound (colour 0, ks 0)
@@ -9,6 +9,7 @@ and sine, whose slope vanishes there, had not arrived after 60.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,52 +17,48 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...base.errors import InputError
+from ...scene.parameters import PARAMETERS
 from ...scene.scene import Scene
 from ...xla.jit import compiled
 from .light_position import LightPosition, light_position_at
 
 Values = dict[str, Float[Array, "..."]]
 
-#: Where in the scene the parameters of spheres, lights and the camera are.
-SPHERES: dict[str, Callable] = {
-    "color": lambda s: s.spheres.color,
-    "ka": lambda s: s.spheres.ka,
-    "kd": lambda s: s.spheres.kd,
-    "ks": lambda s: s.spheres.ks,
-    "exponent": lambda s: s.spheres.exponent,
-    "kgr": lambda s: s.spheres.kgr,
-    "kt": lambda s: s.spheres.kt,
-    "center": lambda s: s.spheres.center,
-    "radius": lambda s: s.spheres.radius,
-}
-LIGHTS: dict[str, Callable] = {
-    "light_position": lambda s: s.lights.position,
-    "light_color": lambda s: s.lights.color,
-}
-CAMERA: dict[str, Callable] = {
-    "theta": lambda s: s.camera.theta,
-    "phi": lambda s: s.camera.phi,
-    "mu": lambda s: s.camera.mu,
-    "distance": lambda s: s.camera.distance,
-}
-PLACES = SPHERES | LIGHTS | CAMERA
+_FITTED = {p.name: p for p in PARAMETERS if p.fitted}
 
-#: What may be free. The exposure is a picture's, not the scene's.
-NAMES = (*PLACES, "exposure")
+
+def _accessors(owner: str) -> dict[str, Callable[[Scene], Any]]:
+    return {name: p.value for name, p in _FITTED.items() if p.owner == owner}
+
+
+#: From the scene to the parameters of spheres, lights and the camera.
+SPHERES, LIGHTS, CAMERA = (_accessors(owner) for owner in ("spheres", "lights", "camera"))
+ACCESSORS = SPHERES | LIGHTS | CAMERA
+
+#: The names of parameters that may be free. The exposure is a picture's, not the scene's.
+NAMES = (*ACCESSORS, "exposure")
 
 #: Those whose change is seen only by where edges are.
-GEOMETRY = frozenset(("center", "radius", *CAMERA))
+GEOMETRY = frozenset(name for name, p in _FITTED.items() if p.moves_silhouettes)
 
-# Numbers in 0..1; numbers that are fitted by their logarithm.
-_UNIT = frozenset(("color", "ka", "kd", "ks", "kgr", "kt"))
-_POSITIVE = frozenset(("exponent", "radius", "mu", "distance", "exposure"))
+# Parameters are scaled by their range: folded into 0..1, fitted by their logarithm, or by their
+# absolute value. An exponent may be 0 but is fitted by its logarithm too.
+_UNIT = frozenset(name for name, p in _FITTED.items() if p.range == "unit")
+_ABOVE_0 = frozenset(name for name, p in _FITTED.items() if p.range == "positive")
+_LOGARITHMIC = _ABOVE_0 | {"exponent", "exposure"}
+_ABSOLUTE = frozenset(n for n, p in _FITTED.items() if p.range == "nonnegative") - _LOGARITHMIC
 
-# An exponent of 0 has no logarithm; a fit starts from this instead.
+# The least exponent at the start, as 0 has no logarithm. A highlight of exponent 0.01 is constant
+# to 1 % wherever its cosine is above 0.37, so the start hardly changes; a smaller one would have a
+# derivative by its logarithm that is as much smaller.
 _LEAST_EXPONENT = 1e-2
 
 
 def check_free(free: tuple[str, ...]) -> None:
-    """**Raises:** `InputError` for names that cannot be free, or none at all."""
+    """Checks the names of free parameters.
+
+    **Raises:** `InputError` for names that cannot be free, or none at all.
+    """
     unknown = [name for name in free if name not in NAMES]
     if unknown or not free:
         got = ", ".join(unknown) or "none"
@@ -71,37 +68,40 @@ def check_free(free: tuple[str, ...]) -> None:
 
 
 def check_present(scene: Scene, free: tuple[str, ...]) -> None:
-    """**Raises:** `InputError` for free parameters of things that the scene does not have."""
+    """Checks that a scene has what is free.
+
+    **Raises:** `InputError` for free parameters of objects that the scene does not have, and for
+    lengths that start at 0.
+    """
     for name in free:
         if name == "exposure":
             continue
         if value(scene, name).size == 0:
-            things = "lights" if name in LIGHTS else "spheres"
-            raise InputError(f"{name} is free, but the scene has no {things}")
-        if name in ("radius", "mu", "distance") and not (value(scene, name) > 0).all():
+            raise InputError(f"{name} is free, but the scene has no {_FITTED[name].owner}")
+        if name in _ABOVE_0 and not (value(scene, name) > 0).all():
             raise InputError(f"{name} is free: it must start above 0")
 
 
 def value(scene: Scene, name: str) -> Array:
-    """The array of a scene that a free parameter's name stands for."""
-    return PLACES[name](scene)
+    """Returns the array of a scene that a free parameter's name stands for."""
+    return ACCESSORS[name](scene)
 
 
 class Parameters(eqx.Module):
-    """The way from a solver's numbers to a scene, and back at the start."""
+    """The scaling from a solver's unknowns to a scene, and its inverse at the start."""
 
     scene: Scene  #: the start; what is not free stays as it is here
-    charts: LightPosition | None  #: of the lights' positions
+    light_positions: LightPosition | None  #: one for each light, if their positions are free
     free: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, scene: Scene, free: tuple[str, ...]):
         self.scene, self.free = scene, free
-        self.charts = None
+        self.light_positions = None
         if "light_position" in free:
-            self.charts = _charts(scene)
+            self.light_positions = _light_positions(scene)
 
     def start(self) -> Values:
-        """The solver's numbers at the start, brought within the bounds."""
+        """Returns the unknowns at the start, brought within the bounds."""
         return {name: self._start(name) for name in self.free}
 
     def _start(self, name: str) -> Array:
@@ -112,79 +112,78 @@ class Parameters(eqx.Module):
         start = value(self.scene, name) / self._unit(name)
         if name == "exponent":
             start = jnp.maximum(start, _LEAST_EXPONENT)
-        if name in _POSITIVE:
+        if name in _LOGARITHMIC:
             return jnp.log(start)
         if name in _UNIT:
             return jnp.clip(start, 0, 1)
-        return jnp.maximum(start, 0) if name == "light_color" else start
+        return jnp.maximum(start, 0) if name in _ABSOLUTE else start
 
     def _unit(self, name: str) -> Array | int:
-        """What makes a length a number of order one: a fit is blind to the user's units."""
-        if name in ("radius", "mu", "distance"):
+        """Returns the length that makes a parameter a number of order one.
+
+        A fit is so blind to the user's units.
+        """
+        if name in _ABOVE_0:
             return value(self.scene, name)
         if name == "center":
             radius = self.scene.spheres.radius
             return jnp.where(radius > 0, radius, 1)[:, None]
         return 1
 
-    def natural(self, values: Values) -> Values:
-        """The parameters themselves, in the scene's units, that a solver's numbers stand for."""
-        return {name: self._natural(name, y) for name, y in values.items()}
+    def natural(self, unknowns: Values) -> Values:
+        """Returns the parameters in the scene's units that unknowns stand for."""
+        return {name: self._natural(name, y) for name, y in unknowns.items()}
 
     def _natural(self, name: str, y: Array) -> Array:
-        if name == "light_position" and self.charts is not None:
-            return jax.vmap(LightPosition.position)(self.charts, y)
+        if name == "light_position" and self.light_positions is not None:
+            return jax.vmap(LightPosition.position)(self.light_positions, y)
         if name in _UNIT:
             return _fold(y)
-        if name == "light_color":
+        if name in _ABSOLUTE:
             return jnp.abs(y)
-        return (jnp.exp(y) if name in _POSITIVE else y) * self._unit(name)
+        return (jnp.exp(y) if name in _LOGARITHMIC else y) * self._unit(name)
 
-    def place(self, values: Values) -> tuple[Scene, Float[Array, " 3"]]:
-        """The scene that a solver's numbers stand for, and the exposure."""
-        natural = self.natural(values)
+    def scene_at(self, unknowns: Values) -> tuple[Scene, Float[Array, " 3"]]:
+        """Returns the scene that unknowns stand for, and the exposure."""
+        natural = self.natural(unknowns)
         exposure = natural.pop("exposure", jnp.ones(3, self.scene.dtype))
         if not natural:
             return self.scene, exposure
-        where = lambda scene: [PLACES[name](scene) for name in natural]
-        return eqx.tree_at(where, self.scene, list(natural.values())), exposure
+        leaves = lambda scene: [ACCESSORS[name](scene) for name in natural]
+        return eqx.tree_at(leaves, self.scene, list(natural.values())), exposure
 
     def bounds(self) -> tuple[Values, Values]:
-        """The least and greatest allowed of the solver's numbers."""
-
-        def limit(name: str, y: Array, low: bool) -> Array:
-            if name == "light_position" and self.charts is not None and low:
-                return jax.vmap(LightPosition.least)(self.charts)
-            if low:
-                bound = 0.0 if name in _UNIT or name == "light_color" else -jnp.inf
-            else:
-                bound = 1.0 if name in _UNIT else jnp.inf
-            return jnp.full_like(y, bound)
-
+        """Returns the least and the greatest that the unknowns may be."""
         start = self.start()
-        least, most = ({n: limit(n, y, low) for n, y in start.items()} for low in (True, False))
-        return least, most
+        lower = {name: self._lower_bound(name, y) for name, y in start.items()}
+        upper = {n: jnp.full_like(y, 1.0 if n in _UNIT else jnp.inf) for n, y in start.items()}
+        return lower, upper
+
+    def _lower_bound(self, name: str, y: Array) -> Array:
+        if name == "light_position" and self.light_positions is not None:
+            return jax.vmap(LightPosition.lower_bound)(self.light_positions)
+        return jnp.full_like(y, 0.0 if name in _UNIT | _ABSOLUTE else -jnp.inf)
 
 
 @compiled
-def _charts(scene: Scene) -> LightPosition:
+def _light_positions(scene: Scene) -> LightPosition:
     middle, size = extent(scene)
     return jax.vmap(light_position_at, (0, None, None))(scene.lights.position, middle, size)
 
 
 def extent(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
-    """The middle of a scene's spheres, and how far they reach around it."""
+    """Returns the middle of a scene's spheres, and the radius of all around the middle."""
     spheres = scene.spheres
     if not len(spheres):
         return jnp.zeros(3, scene.dtype), jnp.where(scene.camera.mu > 0, scene.camera.mu, 1)
     middle = jnp.mean(spheres.center, axis=0)
-    reach = jnp.linalg.norm(spheres.center - middle[None], axis=1) + spheres.radius
-    size = jnp.max(reach)
+    distances = jnp.linalg.norm(spheres.center - middle[None], axis=1) + spheres.radius
+    size = jnp.max(distances)
     return middle, jnp.where(size > 0, size, 1)
 
 
 def _fold(y: Array) -> Array:
-    """y for y in 0..1, with a slope of 1 at 0 and 1, too; mirrored at 0 and 1 beyond."""
+    """Returns y for y in 0..1, with a slope of 1 at 0 and 1, too; mirrored at 0 and 1 beyond."""
     y = jnp.abs(y)
     turn = jax.lax.stop_gradient(jnp.maximum(jnp.ceil(y) - 1, 0))
     return jnp.where(turn % 2 == 0, y - turn, 1 - (y - turn))

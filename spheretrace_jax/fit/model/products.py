@@ -1,4 +1,4 @@
-"""What a picture determines of a scene's colours and lights."""
+"""Determined products: the combinations of colours and coefficients that a picture determines."""
 
 import jax
 import numpy as np
@@ -14,7 +14,7 @@ PRODUCTS = {
 
 
 def determined_products(scene: Scene) -> dict[str, np.ndarray]:
-    """What a picture determines: the products of colour and coefficients, ks, the lights."""
+    """Returns what a picture determines: ka color, kd color, ks, the lights' positions."""
     arrays = jax.tree.map(np.asarray, scene)
-    shown = PRODUCTS | {"light_position": lambda scene: scene.lights.position}
-    return {name: of(arrays) for name, of in shown.items()}
+    functions = PRODUCTS | {"light_position": lambda scene: scene.lights.position}
+    return {name: function(arrays) for name, function in functions.items()}

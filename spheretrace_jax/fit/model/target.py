@@ -1,4 +1,4 @@
-"""What a fit compares: the target picture, which of its numbers count, how much, and how.
+"""`Target`: a picture to fit, the weights of its numbers, and the loss.
 
 The residual of a number is weight (exposure picture - target), bent by a robust loss if asked for:
 Gauss-Newton on r~(r) with r~^2 / 2 = rho(r) minimises the sum of rho (Triggs et al., "Bundle
@@ -17,22 +17,31 @@ from ...base.errors import InputError, PictureError
 from ...base.safe_math import larger
 from ...base.types import Picture
 
-# White in 8 and 16 bits is read as 1, give or take the rounding of the conversion to linear light;
-# the next number below it in 16 bits is 1 - 3e-5.
+# The range of numbers that are read as clipped. White in 8 and 16 bits is 1, give or take the
+# rounding of the conversion to linear light; the next number below white in 16 bits is 1 - 3e-5.
 _NEARLY_WHITE, _WHITE = 1 - 1e-5, 1 + 5e-5
 
 Loss = Literal["square", "huber", "cauchy"]
 
-#: Where a loss leaves the square, in standard deviations of the noise: 95 % efficient on normal
-#: noise (Huber 1964; Holland and Welsch 1977).
+#: The residual at which a loss leaves the square, in standard deviations of the noise. A smaller
+#: one passes over more outliers and is less efficient without them: these are 95 % efficient on
+#: normal noise (Huber 1964; Holland and Welsch 1977).
 _THRESHOLDS = {"square": 1.0, "huber": 1.345, "cauchy": 2.385}
 
-# Noise is estimated where the picture is no darker than this part of its mean, and is taken to be
-# at least so much of its largest number: not the target's, which may be an outlier.
-_DARK, _LEAST_NOISE = 0.1, 1e-4
+# The brightness, as a part of the picture's mean, from which pixels take part in the estimate of
+# the noise: black backgrounds fit without noise, and would pull the median down.
+_DARK = 0.1
 
-# The part of the numbers that `without_worst` leaves out.
-_WORST = 0.05
+# The least noise, as a part of the picture's largest number: not the target's, which may be an
+# outlier. It keeps robust losses finite where a target fits exactly; 16 bits are rounded to less.
+_LEAST_NOISE = 1e-4
+
+# The part of the numbers that `trimmed` leaves out. Those on the wrong side of a shadow's edge,
+# for which it is there, must be fewer; of the rest as few as possible should go.
+_TRIMMED = 0.05
+
+#: The standard deviation of normal noise, in medians of its absolute values.
+SIGMA_OF_MEDIAN = 1.4826
 
 
 class Target(eqx.Module):
@@ -45,27 +54,27 @@ class Target(eqx.Module):
 
     @property
     def counts(self) -> Bool[Array, "height width"]:
-        """Which pixels have numbers that count."""
+        """Returns which pixels have numbers that count."""
         return jnp.any(self.weight > 0, axis=-1)
 
     @property
     def counted(self) -> int:
-        """How many numbers count."""
+        """Returns how many numbers count."""
         return int(np.sum(np.asarray(self.weight) > 0))
 
     @property
-    def length(self) -> float:
-        """The root of the sum of the squares of its weighted numbers."""
+    def norm(self) -> float:
+        """Returns the Euclidean norm of the weighted numbers."""
         numbers = np.asarray(self.image * self.weight).reshape(-1)
         return float(np.sqrt(numbers @ numbers))
 
     @property
-    def size(self) -> float:
-        """The root-mean-square of those that count."""
-        return self.length / np.sqrt(self.counted)
+    def rms(self) -> float:
+        """Returns the root-mean-square of the weighted numbers that count."""
+        return self.norm / np.sqrt(self.counted)
 
-    def of_boxes(self, side: int) -> "Target":
-        """The means of boxes of pixels, side by side, at their middles; no other pixels count.
+    def box_means(self, side: int) -> "Target":
+        """Returns the means of boxes of pixels, at their middles; no other pixels count.
 
         **Arguments:** `side`: how many pixels wide and high the boxes are, an odd number.
         """
@@ -85,11 +94,11 @@ class Target(eqx.Module):
         return Target(image, at_middles(weight), self.noise, self.loss)
 
     def misfit(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
-        """weight (exposure picture - target)."""
+        """Returns weight (exposure picture - target)."""
         return self.weight * (picture * exposure[None, None, :] - self.image)
 
     def residual(self, picture: Picture, exposure: Float[Array, " 3"]) -> Picture:
-        """The numbers whose squares are added up: `misfit`, less of what is far off."""
+        """Returns the numbers whose squares are added up: the misfit, bent by the loss."""
         r = self.misfit(picture, exposure)
         if self.loss == "square":
             return r
@@ -98,37 +107,38 @@ class Target(eqx.Module):
         if self.loss == "huber":
             bent = jnp.sqrt(2 * larger(x, 1) - 1)
             return jnp.where(x <= 1, r, jnp.sign(r) * k * bent)
-        # smaller ones are their own: their squares may underflow, where the root has no slope
-        some = x > jnp.sqrt(jnp.finfo(x.dtype).eps)
-        log = jnp.log1p(jnp.where(some, x * x, 1))
-        return jnp.where(some, jnp.sign(r) * k * jnp.sqrt(log), r)
+        # smaller misfits stay as they are: their squares may underflow, where the root has no slope
+        bends = x > jnp.sqrt(jnp.finfo(x.dtype).eps)
+        log = jnp.log1p(jnp.where(bends, x * x, 1))
+        return jnp.where(bends, jnp.sign(r) * k * jnp.sqrt(log), r)
 
     def slopes(self, picture: Picture, exposure: Float[Array, " 3"]) -> tuple[Picture, Picture]:
-        """The derivatives of the residuals by the picture's numbers and by their exposures."""
+        """Returns the derivatives of the residuals by the picture's numbers and by exposures."""
         one = jnp.ones_like
         _, by_picture = jax.jvp(lambda p: self.residual(p, exposure), (picture,), (one(picture),))
         _, by_exposure = jax.jvp(lambda e: self.residual(picture, e), (exposure,), (one(exposure),))
         return by_picture, by_exposure
 
-    def with_noise_of(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
-        """The same, with the noise estimated from the median residual, which outliers leave be.
+    def with_estimated_noise(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
+        """Returns the target with the noise estimated from the median residual.
 
-        Only where the picture shows something: black backgrounds fit without any noise.
+        Outliers do not move a median. Only pixels take part where the picture shows something:
+        black backgrounds fit without any noise.
         """
         r = jnp.abs(self.misfit(picture, exposure))
-        counts, seen = self.weight > 0, jnp.abs(picture * exposure[None, None, :])
-        mean = jnp.mean(seen, where=counts)
-        shown = counts & (seen >= _DARK * mean)
+        counts, brightness = self.weight > 0, jnp.abs(picture * exposure[None, None, :])
+        mean = jnp.mean(brightness, where=counts)
+        shown = counts & (brightness >= _DARK * mean)
         median = jnp.nanmedian(jnp.where(shown, r, jnp.nan))
-        least = _LEAST_NOISE * jnp.max(seen * self.weight)
-        noise = jnp.maximum(1.4826 * median, least)
+        least = _LEAST_NOISE * jnp.max(brightness * self.weight)
+        noise = jnp.maximum(SIGMA_OF_MEDIAN * median, least)
         return eqx.tree_at(lambda t: t.noise, self, jnp.where(noise > 0, noise, 1))
 
-    def without_worst(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
-        """The same without the numbers that fit worst."""
+    def trimmed(self, picture: Picture, exposure: Float[Array, " 3"]) -> "Target":
+        """Returns the target without the numbers that fit worst (least trimmed squares)."""
         r = jnp.abs(self.misfit(picture, exposure))
-        most = jnp.nanquantile(jnp.where(self.weight > 0, r, jnp.nan), 1 - _WORST)
-        return eqx.tree_at(lambda t: t.weight, self, jnp.where(r > most, 0, self.weight))
+        limit = jnp.nanquantile(jnp.where(self.weight > 0, r, jnp.nan), 1 - _TRIMMED)
+        return eqx.tree_at(lambda t: t.weight, self, jnp.where(r > limit, 0, self.weight))
 
 
 def make_target(
@@ -153,7 +163,7 @@ def make_target(
     the picture counts, for integers, and if nothing counts; `InputError` for masks, weights and
     noise of other shapes or values out of range.
     """
-    pixels = _wide(image)
+    pixels = _promoted(image)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise PictureError(f"the target must have shape (height, width, 3), got {pixels.shape}")
     if not np.issubdtype(pixels.dtype, np.floating):
@@ -164,24 +174,24 @@ def make_target(
         raise InputError(f"loss must be one of {', '.join(_THRESHOLDS)}, got {loss!r}")
     weight = np.ones(pixels.shape)
     if mask is not None:
-        mask = _like(mask, pixels, "mask")
+        mask = _per_number(mask, pixels, "mask")
         if mask.dtype != bool:
             raise InputError(f"the mask must hold yes and no (bool), got {mask.dtype}")
         weight = np.where(mask, weight, 0)
     if weights is not None:
-        weights = _like(weights, pixels, "weights")
+        weights = _per_number(weights, pixels, "weights")
         if not (np.isfinite(weights) & (weights >= 0)).all():
             raise InputError("the weights must be finite and at least 0")
         # a weight counts squares, as a number of equal pixels would
         weight = weight * np.sqrt(weights)
     if noise is not None:
-        noise = _like(noise, pixels, "noise")
+        noise = _per_number(noise, pixels, "noise")
         if not (np.isfinite(noise) & (noise > 0)).all():
             raise InputError("the noise must be finite and greater than 0")
         weight = weight / noise
-    wild = int(np.count_nonzero(~np.isfinite(pixels) & (weight > 0)))
-    if wild:
-        raise PictureError(f"the target must be finite, got {wild} numbers that are nan or inf")
+    bad = int(np.count_nonzero(~np.isfinite(pixels) & (weight > 0)))
+    if bad:
+        raise PictureError(f"the target must be finite, got {bad} numbers that are nan or inf")
     pixels = np.where(weight > 0, pixels, 0)
     clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= _WHITE)
     if clipped.all():
@@ -196,16 +206,16 @@ def make_target(
     return Target(jnp.asarray(pixels, dtype), jnp.asarray(weight, dtype), jnp.ones((), dtype), loss)
 
 
-def _wide(value: ArrayLike) -> np.ndarray:
-    """In NumPy; half precision, which many EXR pictures have, becomes float32."""
+def _promoted(value: ArrayLike) -> np.ndarray:
+    """Converts to NumPy; half precision, which many EXR pictures have, becomes float32."""
     array = np.asarray(value)
     half = jnp.issubdtype(array.dtype, jnp.floating) and array.dtype.itemsize < 4
     return array.astype(np.float32) if half else array
 
 
-def _like(value: ArrayLike, pixels: np.ndarray, name: str) -> np.ndarray:
-    """A number for all, one per pixel or one per channel, as one per channel."""
-    array = _wide(value)
+def _per_number(value: ArrayLike, pixels: np.ndarray, name: str) -> np.ndarray:
+    """Broadcasts one number for all, one per pixel or one per channel to one per channel."""
+    array = _promoted(value)
     if array.dtype.kind not in "biuf":
         raise InputError(f"{name} must hold numbers, got {array.dtype}")
     if array.shape == pixels.shape[:2]:

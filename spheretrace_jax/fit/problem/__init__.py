@@ -1,1 +1,1 @@
-"""The least-squares problem of a fit, for one picture or for several of one world."""
+"""The least-squares problem of a fit, its compression, and the labels of its unknowns."""

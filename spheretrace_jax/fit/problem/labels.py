@@ -1,4 +1,4 @@
-"""What the unknowns of a fit are called, and where they are."""
+"""Labels of a fit's unknowns: their names in words, and their indices."""
 
 import numpy as np
 
@@ -9,17 +9,16 @@ CHANNELS = ("red", "green", "blue")
 
 
 def labels_of(problem: Problem) -> np.ndarray:
-    """What each unknown is, in the order of `ravel_pytree`."""
-    names = []
-    for name, arrays in unknown_places(problem).items():
+    """Returns a label of each unknown, in the order of `ravel_pytree`."""
+    labels = []
+    for name, arrays in unknown_indices(problem).items():
         for k, array in enumerate(arrays):
-            picture = picture_suffix(k) if name in problem.own else ""
-            indices = np.ndindex(array.shape)
-            names += [f"{_object(name, index)}{picture}" for index in indices]
-    return np.asarray(names)
+            suffix = picture_suffix(k) if name in problem.per_picture else ""
+            labels += [f"{_label(name, index)}{suffix}" for index in np.ndindex(array.shape)]
+    return np.asarray(labels)
 
 
-def _object(name: str, index: tuple[int, ...]) -> str:
+def _label(name: str, index: tuple[int, ...]) -> str:
     if name in SPHERES:
         return f"sphere {index[0] + 1}'s {name}"
     if name in LIGHTS:
@@ -28,25 +27,25 @@ def _object(name: str, index: tuple[int, ...]) -> str:
 
 
 def picture_suffix(picture: int) -> str:
-    """Which picture something is of, counted from 1."""
+    """Returns words for the number of a picture, counted from 1."""
     return f" of picture {picture + 1}"
 
 
-def unknown_places(problem: Problem) -> dict[str, list[np.ndarray]]:
-    """Where each name's numbers are in the vector of unknowns, in their shape.
+def unknown_indices(problem: Problem) -> dict[str, list[np.ndarray]]:
+    """Returns the indices of each name's numbers in the vector of unknowns, in their shape.
 
-    An array for each picture for what pictures have of their own, else one.
+    An array for each picture for parameters that each picture has apart, else one array.
     """
-    start, end, places = problem.start(), 0, {}
+    start, end, indices = problem.start(), 0, {}
     for name in sorted(start):
-        places[name] = []
-        for array in start[name] if name in problem.own else [start[name]]:
+        indices[name] = []
+        for array in start[name] if name in problem.per_picture else [start[name]]:
             size = int(np.size(array))
-            places[name].append(np.arange(end, end + size).reshape(np.shape(array)))
+            indices[name].append(np.arange(end, end + size).reshape(np.shape(array)))
             end += size
-    return places
+    return indices
 
 
-def joined(parts: list[str]) -> str:
-    """Parts with commas, and "and" before the last."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+def joined(words: list[str]) -> str:
+    """Joins words with commas, and "and" before the last."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,1 +1,1 @@
-"""Levenberg-Marquardt with bounds, its driver, and the search for lights."""
+"""Levenberg-Marquardt with bounds, its driver, the gauge, and the search for lights."""

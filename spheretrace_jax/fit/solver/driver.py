@@ -1,4 +1,4 @@
-"""One fit's way from its start to its end: the solver's steps."""
+"""The driver: steps a solver from the host, from a problem's start to its end."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,15 +13,18 @@ from jaxtyping import Array, Float, PyTree, Scalar
 
 from ...xla.jit import compiled
 from ..normal_equations.normal_equations import NormalEquations
-from ..problem.problem import Problem, compress, compressed_residual, normal_at
+from ..problem.compression import compress, compressed_residual
+from ..problem.problem import Problem, normal_at
 from .levenberg_marquardt import CautiousTrustRegion
 
-# The step in a coarser picture that lowers the cost by less than this part of it is the last one.
-_ENOUGH = 0.1
+# The decrease of the cost, as a part of it, below which a step in a coarser picture is the last
+# one. A smaller one takes more steps there, towards a minimum that is not the finer picture's; a
+# larger one leaves the finer picture more of the way.
+_COARSE_DECREASE = 0.1
 
 
 class Progress(eqx.Module):
-    """Where a fit is: passed to its callback after every step."""
+    """The state of a fit: passed to its callback after every step."""
 
     step: int
     max_steps: int
@@ -30,7 +33,7 @@ class Progress(eqx.Module):
     scene: Any  #: the best one so far, a list of them where there are several pictures
 
 
-class _Point(eqx.Module):
+class _Linearization(eqx.Module):
     """A compressed residual and its Jacobian at one point."""
 
     y: Float[Array, " free"]
@@ -38,61 +41,69 @@ class _Point(eqx.Module):
     jacobian: Float[Array, "compressed free"]
 
 
-def _linear(values: PyTree, point: _Point) -> tuple[Float[Array, " compressed"], None]:
-    """The residual near a point, to first order: all that a step of the Gauss-Newton family asks
-    for. So the picture's part is compiled once, whatever the solver, and the solver's quickly.
+@compiled
+def _linearize(normal: NormalEquations, values: PyTree) -> _Linearization:
+    return _Linearization(ravel_pytree(values)[0], *compress(normal))
+
+
+def _linear_residual(
+    values: PyTree, point: _Linearization
+) -> tuple[Float[Array, " compressed"], None]:
+    """Returns the residual near a point, to first order.
+
+    A step of the Gauss-Newton family asks for no more. So the picture's program is compiled once,
+    whatever the solver, and the solver's quickly.
     """
     return point.residual + point.jacobian @ (ravel_pytree(values)[0] - point.y), None
 
 
-def _square(values: PyTree, problem: Problem) -> tuple[Scalar, None]:
-    """The cost, for solvers that minimise."""
+def _cost(values: PyTree, problem: Problem) -> tuple[Scalar, None]:
+    """Returns the cost, for solvers that minimise."""
     return jnp.sum(compressed_residual(values, problem) ** 2) / 2, None
 
 
-def _full(values: PyTree, problem: Problem) -> tuple[Float[Array, " numbers"], None]:
+def _dense_residual(values: PyTree, problem: Problem) -> tuple[Float[Array, " numbers"], None]:
     return problem.residual(values), None
 
 
 @compiled
-def _point(normal: NormalEquations, values: PyTree) -> _Point:
-    return _Point(ravel_pytree(values)[0], *compress(normal))
-
-
-@compiled
-def _placed(problem: Problem, values: PyTree) -> list[Any]:
-    return [scene for scene, _ in problem.place(values)]
+def _scenes(problem: Problem, values: PyTree) -> list[Any]:
+    return [scene for scene, _ in problem.scenes_at(values)]
 
 
 @compiled
 def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
     shape, _ = jax.eval_shape(fn, values, args)
-    return solver.init(fn, values, args, _options(fn), shape, None, frozenset())
+    return solver.init(fn, values, args, _solver_options(fn), shape, None, frozenset())
 
 
-def _options(fn: Callable) -> dict[str, str]:
+def _solver_options(fn: Callable) -> dict[str, str]:
     # as a matrix, not as a function that would be another for each fit and be compiled again
-    return {"jac": "bwd"} if fn is _linear else {}
+    return {"jac": "bwd"} if fn is _linear_residual else {}
 
 
 @compiled
 def _step(solver: Any, fn: Callable, args: Any, values: PyTree, state: Any) -> tuple:
-    """The best values so far, their cost, the state, and how far the next look is."""
-    values, state, _ = solver.step(fn, values, args, _options(fn), state, frozenset())
+    """Takes one step of the solver.
+
+    **Returns:** the best values so far, their cost, the state, and how far from the best values
+    the solver evaluates next.
+    """
+    values, state, _ = solver.step(fn, values, args, _solver_options(fn), state, frozenset())
     moves = jax.tree.map(
         lambda a, b: jnp.max(jnp.abs(a - b) / (1 + jnp.abs(b))), _next(values, state), values
     )
-    cost = _cost(fn, values, args, state)
+    cost = _cost_after(fn, values, args, state)
     return values, cost, state, jnp.max(jnp.stack(jax.tree.leaves(moves)))
 
 
 def _next(values: PyTree, state: Any) -> PyTree:
-    """Where a solver looks next: its best values, unless it tries some before it takes them."""
+    """Returns where a solver evaluates next: its best values, unless it tries others first."""
     return getattr(state, "y_eval", values)
 
 
-def _cost(fn: Callable, values: PyTree, args: Any, state: Any) -> Scalar:
-    """The cost that a solver's step came to: from its state, if that keeps it."""
+def _cost_after(fn: Callable, values: PyTree, args: Any, state: Any) -> Scalar:
+    """Returns the cost that a solver's step came to, from its state if that keeps the cost."""
     if hasattr(state, "f_info"):
         return state.f_info.as_min()
     if hasattr(state, "f"):  # Optax's: of the values before the step
@@ -101,7 +112,7 @@ def _cost(fn: Callable, values: PyTree, args: Any, state: Any) -> Scalar:
 
 
 class Driver:
-    """Steps a solver from the host, so that a fit shows its progress and can be interrupted.
+    """Steps of a solver from the host, so that a fit shows its progress and can be interrupted.
 
     After each `solve` it knows all costs so far, the last one's result, and whether the user
     stopped it.
@@ -114,31 +125,43 @@ class Driver:
         self.max_steps, self.callback = max_steps, callback
         self.costs: list[float] = []
         self.result, self.interrupted = optx.RESULTS.nonlinear_max_steps_reached, False
-        self.fn = _square if isinstance(solver, optx.AbstractMinimiser) else _linear
+        self.fn = _cost if isinstance(solver, optx.AbstractMinimiser) else _linear_residual
         if dense:
-            self.fn = _full
+            self.fn = _dense_residual
         search = getattr(solver, "search", None)
-        self.widens = self.fn is _linear and isinstance(search, CautiousTrustRegion)
+        self.coarse_to_fine = self.fn is _linear_residual and isinstance(
+            search, CautiousTrustRegion
+        )
 
     @property
     def converged(self) -> bool:
+        """Returns whether the last `solve` came to a minimum."""
         return bool(self.result == optx.RESULTS.successful)
 
     def solve(self, problem: Problem, values: PyTree) -> PyTree:
-        """**Returns:** the best values, also if it is interrupted."""
-        coarser = problem.coarser() if self.widens and not self.costs else []
+        """Solves a problem, coarse pictures first at the first call.
+
+        **Returns:** the best values, also if it is interrupted.
+        """
+        coarser = problem.coarser() if self.coarse_to_fine and not self.costs else []
         step_size = None
-        for some in coarser:
-            values, step_size = self._solve(some, values, step_size, _ENOUGH)
+        for coarse in coarser:
+            values, step_size = self._solve(coarse, values, step_size, _COARSE_DECREASE)
             if self.interrupted:
                 return values
         return self._solve(problem, values, step_size)[0]
 
     def _solve(
-        self, problem: Problem, values: PyTree, step_size: Scalar | None, enough: float = 0
+        self,
+        problem: Problem,
+        values: PyTree,
+        step_size: Scalar | None,
+        least_decrease: float = 0,
     ) -> tuple[PyTree, Scalar | None]:
-        """**Arguments:** `step_size`: the search's first one; None for its own. `enough`: a step
-        that lowers the cost by less than this part of it is the last one.
+        """Solves a problem of one resolution.
+
+        **Arguments:** `step_size`: the search's first one; None for the search's default.
+        `least_decrease`: a step that lowers the cost by less than this part of it is the last one.
 
         **Returns:** the best values and the last step size, if they go on in a finer picture.
         """
@@ -152,37 +175,37 @@ class Driver:
             for _ in range(self.max_steps):
                 values, cost, state, move = _step(self.solver, self.fn, args, values, state)
                 self.costs.append(float(cost))
-                self._tell(problem, values, state)
+                self._report(problem, values, state)
                 if not np.isfinite(self.costs[-1]):
                     self.result = optx.RESULTS.nonfinite
                     break
                 done, result = self.solver.terminate(
-                    self.fn, values, args, _options(self.fn), state, frozenset()
+                    self.fn, values, args, _solver_options(self.fn), state, frozenset()
                 )
                 # or only steps below the tolerance are left, none of which lowers the cost
-                waits = getattr(state, "num_steps_since_acceptance", 0)
-                if done or (waits >= 2 and move < self.tolerance):
+                rejected = getattr(state, "num_steps_since_acceptance", 0)
+                if done or (rejected >= 2 and move < self.tolerance):
                     self.result = result
                     break
-                if not waits and before * (1 - enough) < self.costs[-1] < before:
+                if not rejected and before * (1 - least_decrease) < self.costs[-1] < before:
                     break
                 before = self.costs[-1]
                 args = self._args(problem, _next(values, state))
         except KeyboardInterrupt:
             self.interrupted = True
             return values, None
-        return values, state.search_state.step_size if enough else None
+        return values, state.search_state.step_size if least_decrease else None
 
     def _args(self, problem: Problem, values: PyTree) -> Any:
-        """What the residual function needs at the next point to look at."""
-        if self.fn is not _linear:
+        """Returns what the residual function needs where it is evaluated next."""
+        if self.fn is not _linear_residual:
             return problem
-        return _point(normal_at(problem, values), values)
+        return _linearize(normal_at(problem, values), values)
 
-    def _tell(self, problem: Problem, values: PyTree, state: Any) -> None:
+    def _report(self, problem: Problem, values: PyTree, state: Any) -> None:
         if self.callback is None:
             return
-        scenes = _placed(problem, values)
+        scenes = _scenes(problem, values)
         search = getattr(state, "search_state", None)
         size = float(getattr(search, "step_size", 1.0))
         damping = 1 / size if size else float("inf")

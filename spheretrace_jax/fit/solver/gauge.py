@@ -1,4 +1,4 @@
-"""What no picture determines, fixed by a rule: color times c, with ka and kd divided by c."""
+"""Gauge fixing: of color times c, with ka and kd divided by c, a rule picks the scale c."""
 
 from typing import Literal, get_args
 
@@ -12,8 +12,8 @@ Gauge = Literal["ka", "color", "none"]
 GAUGES = get_args(Gauge)
 
 
-def settle(problem: Problem, values: PyTree, gauge: Gauge) -> PyTree:
-    """Of all scenes that look the same the one that a rule picks.
+def fix_gauge(problem: Problem, values: PyTree, gauge: Gauge) -> PyTree:
+    """Returns, of all scenes that look the same, the one that a rule picks.
 
     Only where color, ka and kd are all free. `"ka"`: the one whose ka is the start's, or, where
     color or kd would leave 0..1 then, the nearest to it; `"color"`: the one whose brightest
@@ -27,13 +27,13 @@ def settle(problem: Problem, values: PyTree, gauge: Gauge) -> PyTree:
     most = 1 / jnp.maximum(brightest, jnp.finfo(color.dtype).tiny)
     c = jnp.where(brightest > 0, most, 1)
     if gauge == "ka":
-        wanted = problem.parameters[0].scene.spheres.ka
+        start = problem.parameters[0].scene.spheres.ka
         # a ka above 0 comes nearest to 0 with the brightest colour; one of 0 is 0 with any
-        c = jnp.where(wanted > 0, ka / jnp.where(wanted > 0, wanted, 1), c)
+        c = jnp.where(start > 0, ka / jnp.where(start > 0, start, 1), c)
         c = jnp.where(ka > 0, c, 1)
     # ka and kd divided by c stay in 0..1, and so does color times c
     c = jnp.clip(c, jnp.maximum(kd, ka), most)
     c = jnp.where(c > 0, c, 1)
-    within = lambda x: jnp.clip(x, 0, 1)  # against the last bit of rounding
-    same = {"color": within(color * c[:, None]), "ka": within(ka / c), "kd": within(kd / c)}
-    return {**values, **same}
+    clipped = lambda x: jnp.clip(x, 0, 1)  # against the last bit of rounding
+    scaled = {"color": clipped(color * c[:, None]), "ka": clipped(ka / c), "kd": clipped(kd / c)}
+    return {**values, **scaled}

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ...base.types import Picture
 from ...fit import fit
 from ...fit.fit import DEFAULT_FREE
-from ...fit.model.parameters import PLACES
+from ...fit.model.parameters import ACCESSORS
 from ...fit.model.products import PRODUCTS
 from ...fit.solver.driver import Progress
 from ...rendering.render import render
@@ -123,7 +123,7 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     settings.say("fit: ours, matt spheres")
     known = uncertainty_at(truth, target, free, _NOISE, highlight=settings.highlight, bounces=0)
     seen = known.of(PRODUCTS["kd*color"]) < _KNOWN
-    places = lambda s: [PLACES[name](s) for name in free]
+    places = lambda s: [ACCESSORS[name](s) for name in free]
     start = eqx.tree_at(places, truth, places(displaced(truth)))
     ours = lambda most: [
         (seconds, fitted(found))
@@ -154,7 +154,7 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
 def displaced(truth: Scene) -> Scene:
     """All that is fitted is wrong: coefficients by a tenth, lights by 6 degrees and a fifth."""
     turn = jnp.asarray([[0.995, -0.1, 0], [0.1, 0.995, 0], [0, 0, 1]], truth.dtype)
-    places = lambda s: [PLACES[name](s) for name in DEFAULT_FREE]
+    places = lambda s: [ACCESSORS[name](s) for name in DEFAULT_FREE]
     *coefficients, lights = places(truth)
     return eqx.tree_at(places, truth, [*(0.9 * x for x in coefficients), lights @ turn * 1.2])
 

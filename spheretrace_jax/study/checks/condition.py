@@ -16,7 +16,8 @@ from ...fit.fit import DEFAULT_FREE
 from ...fit.model.parameters import GEOMETRY, value
 from ...fit.model.products import PRODUCTS
 from ...fit.problem.labels import labels_of
-from ...fit.problem.problem import make_problem, normal_at
+from ...fit.problem.make_problem import make_problem
+from ...fit.problem.problem import normal_at
 from ...rendering.render import draw
 from ...scene.needs import Needs
 from ...scene.scene import Scene
@@ -126,7 +127,7 @@ def uncertainty_at(
     numbers. The other arguments are those of `render`.
     """
     problem = make_problem(
-        scene, picture, free, (), highlight=highlight, bounces=bounces, samples=samples,
+        scene, picture, free, highlight=highlight, bounces=bounces, samples=samples,
         noise=noise,
     )  # fmt: skip
     values = problem.start()

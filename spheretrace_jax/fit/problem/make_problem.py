@@ -1,0 +1,146 @@
+"""Making a `Problem` of what a user asks for: checks, settings, and one target for each scene."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.sharding import NamedSharding
+
+from ...base.errors import InputError
+from ...base.types import Highlight
+from ...scene.needs import needs
+from ...scene.scene import Scene
+from ...scene.settings import RenderSettings, render_settings
+from ...tracing.context import build_context
+from ...xla.jit import compiled
+from ...xla.sharding import everywhere, gathered, on_devices
+from ..model.parameters import (
+    CAMERA,
+    GEOMETRY,
+    LIGHTS,
+    Parameters,
+    check_free,
+    check_present,
+    value,
+)
+from ..model.target import make_target
+from ..normal_equations.parameter_index import ParameterIndex
+from ..normal_equations.pixel_buckets import PixelBuckets, bucket_pixels
+from .problem import Problem
+
+# What a picture may have apart from other pictures of the same spheres.
+_MAY_DIFFER = frozenset((*LIGHTS, *CAMERA, "exposure"))
+
+
+def make_problem(
+    scene: Scene | Sequence[Scene],
+    target: Any,
+    free: tuple[str, ...],
+    *,
+    bounces: int,
+    samples: int = 1,
+    highlight: Highlight = "phong",
+    per_picture: tuple[str, ...] = (),
+    sharding: NamedSharding | None = None,
+    **counts: Any,
+) -> Problem:
+    """Checks what a user asks for and makes the problem of it.
+
+    **Arguments:** as for `fit`; `per_picture`: its `own`, to which the exposure is added where
+    there are several pictures. `counts`: as for `make_target`.
+
+    **Raises:** `InputError` for unusable scenes, targets and names.
+    """
+    check_free(free)
+    several = not isinstance(scene, Scene)
+    scenes = list(scene) if several else [scene]
+    target, counts = gathered((target, counts))
+    images = list(target) if several or isinstance(target, list | tuple) else [target]
+    if len(scenes) != len(images) or not scenes:
+        raise InputError(
+            f"there must be one target for each scene, got {len(scenes)} scenes and "
+            f"{len(images)} targets"
+        )
+    for one in scenes:
+        one.check_dtype()
+        check_present(one, free)
+    names = frozenset(per_picture) | ({"exposure"} & set(free) if several else set())
+    _check_shared(scenes, free, names)
+    of_pictures = {
+        name: _for_each(name, x, len(scenes)) if several else [x] for name, x in counts.items()
+    }
+    targets, settings, fixed = [], [], not GEOMETRY & set(free)
+    for k, (one, image) in enumerate(zip(scenes, images, strict=True)):
+        made = make_target(image, one.dtype, **{name: x[k] for name, x in of_pictures.items()})
+        height, width, _ = made.image.shape
+        needed = needs(one, free=[name for name in free if name != "exposure"])
+        chosen = render_settings(
+            one, width, height, highlight=highlight, bounces=bounces, samples=samples,
+            needs=needed, sharding=sharding,
+        )  # fmt: skip
+        if chosen.antialias and not fixed:
+            chosen = dataclasses.replace(chosen, box=jnp.ones((), one.dtype))
+        settings.append(chosen)
+        targets.append(made)
+    scenes, targets = everywhere((scenes, targets), settings[0].sharding)
+    parameters = tuple(Parameters(one, free) for one in scenes)
+    buckets = tuple(
+        _buckets(one, free, s) if fixed and not s.antialias else None
+        for one, s in zip(scenes, settings, strict=True)
+    )
+    return Problem(parameters, tuple(targets), tuple(settings), buckets, names)
+
+
+@compiled
+def _buckets(scene: Scene, free: tuple[str, ...], settings: RenderSettings) -> PixelBuckets:
+    # of all pixels: the target of a problem may be replaced by one of which others count
+    index = ParameterIndex(scene, free)
+    if settings.sharding is None:
+        return bucket_pixels(build_context(scene, settings, accelerated=False), index)
+
+    def of_device(scene: Scene, _: None) -> PixelBuckets:
+        context = build_context(scene, settings.of_device, accelerated=False)
+        return bucket_pixels(context, index)
+
+    return on_devices(of_device, settings.sharding, scene)
+
+
+def _for_each(name: str, value: Any, count: int) -> list:
+    """Returns what counts in each picture, from one value for all or a list.
+
+    **Raises:** `InputError` for lists of other lengths, and noise of some pictures only: residuals
+    would be in different units.
+    """
+    if not isinstance(value, list | tuple):
+        return [value] * count
+    if len(value) != count:
+        raise InputError(f"{name} must be one for all or one for each of {count}, got {len(value)}")
+    if name == "noise" and any(x is None for x in value):
+        raise InputError("noise must be given for all pictures or for none")
+    return list(value)
+
+
+def _check_shared(scenes: list[Scene], free: tuple[str, ...], per_picture: frozenset[str]) -> None:
+    """Checks that scenes differ only in what each picture may have apart.
+
+    **Raises:** `InputError` for scenes of different spheres, planes or textures, for shared free
+    parameters that start differently, and for names in `per_picture` that are not free.
+    """
+    wrong = sorted(per_picture - (_MAY_DIFFER & set(free)))
+    if wrong:
+        raise InputError(
+            f"own must name free parameters of lights or camera, got {', '.join(wrong)}"
+        )
+    first = scenes[0]
+    for k, other in enumerate(scenes[1:], 2):
+        for owner in ("spheres", "planes", "textures"):
+            if not bool(eqx.tree_equal(getattr(first, owner), getattr(other, owner))):
+                raise InputError(f"scene {k} has other {owner} than the first: they must be equal")
+        for name in sorted((_MAY_DIFFER - {"exposure"}) & set(free) - per_picture):
+            if not bool(eqx.tree_equal(value(first, name), value(other, name))):
+                raise InputError(
+                    f"{name} is free and starts differently in scene {k}: name it in own, or "
+                    "start all pictures alike"
+                )

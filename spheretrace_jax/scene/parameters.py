@@ -1,0 +1,85 @@
+"""The parameters of a scene: one registry of their names, owners, ranges, and what they move.
+
+`needs(free=...)` accepts these names, and a fit's free parameters are those marked `fitted`. What
+scales a parameter to a solver's unknown is in `fit/model/parameters.py`.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, Literal
+
+from ..base.errors import InputError
+from .scene import Scene
+
+Owner = Literal["spheres", "lights", "planes", "camera", "scene"]
+
+Range = Literal["unit", "positive", "nonnegative", "any"]
+"""0..1, above 0, 0 or above, any number."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A named array of a scene. Two owners may have parameters of one name, as of `ka`."""
+
+    name: str
+    owner: Owner
+    range: Range = "any"
+    attribute: str = ""  #: the owner's attribute, if its name is another
+    moves_silhouettes: bool = False  #: a change is seen only by where silhouettes are
+    fitted: bool = False  #: a fit may set it free
+
+    def value(self, scene: Scene) -> Any:
+        """Returns the parameter's array, a leaf of the scene.
+
+        Inside `equinox.tree_at` leaves are no arrays, so the type says nothing.
+        """
+        owner = scene if self.owner == "scene" else getattr(scene, self.owner)
+        return getattr(owner, self.attribute or self.name)
+
+
+#: Those that are fitted come in the order in which a fit's messages list them.
+PARAMETERS = (
+    Parameter("color", "spheres", "unit", fitted=True),
+    Parameter("ka", "spheres", "unit", fitted=True),
+    Parameter("kd", "spheres", "unit", fitted=True),
+    Parameter("ks", "spheres", "unit", fitted=True),
+    Parameter("exponent", "spheres", "nonnegative", fitted=True),
+    Parameter("kgr", "spheres", "unit", fitted=True),
+    Parameter("kt", "spheres", "unit", fitted=True),
+    Parameter("center", "spheres", moves_silhouettes=True, fitted=True),
+    Parameter("radius", "spheres", "positive", moves_silhouettes=True, fitted=True),
+    Parameter("light_position", "lights", attribute="position", fitted=True),
+    Parameter("light_color", "lights", "nonnegative", attribute="color", fitted=True),
+    Parameter("theta", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("phi", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("mu", "camera", "positive", moves_silhouettes=True, fitted=True),
+    Parameter("distance", "camera", "positive", moves_silhouettes=True, fitted=True),
+    Parameter("window", "camera", "positive", moves_silhouettes=True),
+    Parameter("point", "planes", moves_silhouettes=True),
+    Parameter("normal", "planes", moves_silhouettes=True),
+    Parameter("color", "planes", "unit"),
+    Parameter("ka", "planes", "unit"),
+    Parameter("kd", "planes", "unit"),
+    Parameter("ks", "planes", "unit"),
+    Parameter("exponent", "planes", "nonnegative"),
+    Parameter("kgr", "planes", "unit"),
+    Parameter("checker_color", "planes", "unit"),
+    Parameter("checker_size", "planes", "nonnegative"),
+    Parameter("background", "scene", "nonnegative"),
+)
+
+# `needs` takes two names besides: `position`, the attribute of the lights, and `pic`, which is
+# static. Neither switches code on.
+_ACCEPTED = frozenset(p.name for p in PARAMETERS) | {"position", "pic"}
+
+
+def parameter_names(names: Iterable[str]) -> frozenset[str]:
+    """Returns names, or one bare string, as a set.
+
+    **Raises:** `InputError` for names of no parameter.
+    """
+    chosen = frozenset([names] if isinstance(names, str) else names)
+    unknown = sorted(chosen - _ACCEPTED)
+    if unknown:
+        raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
+    return chosen
