@@ -1,4 +1,4 @@
-# Everything that a fresh clone needs is set up by the first target that needs it.
+# The first target that needs the environment sets it up, also in a fresh clone.
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
@@ -20,10 +20,11 @@ test-slow: $(READY)
 study: $(READY)
 	$(BIN)/spheretrace study data/nine_spheres.txt --report docs/study
 
-# the catalogue of stiff and extreme cases, in docs/extremes.md
+# the catalogue of extreme inputs, in docs/extremes.md
 extremes: $(READY)
 	$(BIN)/python tests/extremes/page.py
 
+# run times against Mitsuba and POV-Ray
 bench: $(READY)
 	$(BIN)/python tests/bench/speed.py
 

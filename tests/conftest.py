@@ -1,3 +1,5 @@
+"""Settings of JAX for all tests: float64, and no silent promotion of types or ranks."""
+
 import jax
 
 jax.config.update("jax_enable_x64", True)

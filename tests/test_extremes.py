@@ -1,9 +1,11 @@
+"""The catalogue of extremes: each case is a test."""
+
 import pytest
 from extremes import PARTS
 from extremes.case import cases
 
 
-def _tests() -> list:
+def _cases() -> list:
     return [
         pytest.param(
             case,
@@ -15,6 +17,6 @@ def _tests() -> list:
     ]
 
 
-@pytest.mark.parametrize("case", _tests())
-def test_what_is_promised_holds(case):
+@pytest.mark.parametrize("case", _cases())
+def test_promise(case):
     assert case.check()

@@ -1,4 +1,4 @@
-"""Data flows one way: the core knows no files, plots or command line, and nothing is a cycle."""
+"""The import rule: a folder imports only from folders above it, and nothing is a cycle."""
 
 import ast
 from functools import cache
@@ -7,24 +7,24 @@ from pathlib import Path
 import pytest
 
 PACKAGE = "spheretrace_jax"
-FOLDER = Path(__file__).parent.parent / PACKAGE
+ROOT = Path(__file__).parents[1] / PACKAGE
 FILES = {
-    ".".join([PACKAGE, *file.relative_to(FOLDER).with_suffix("").parts]).removesuffix(
+    ".".join([PACKAGE, *file.relative_to(ROOT).with_suffix("").parts]).removesuffix(
         ".__init__"
     ): file
-    for file in sorted(FOLDER.rglob("*.py"))
+    for file in sorted(ROOT.rglob("*.py"))
 }
 
-CORE = """
-    _types appearance area camera cells charts cost coverage edges errors grid halfplane
-    intersect layers lists marked needs options outlines paths peel penumbra phases possible
-    radiance render scene shading sharding texture varying vec visibility world
-""".split()
-OUTER = tuple(
-    f"{PACKAGE}.{name}"
-    for name in "files report diagrams info check progress commands cli demo".split()
-)
-HOST_LIBRARIES = ("OpenImageIO", "matplotlib", "rich", "tyro")
+#: Of a folder the order of its entries: an entry imports only from itself and from those before it.
+ORDER = {
+    PACKAGE: "base < xla < scene < acceleration < tracing < antialiasing < rendering"
+    " < files < fit < study < cli",
+    f"{PACKAGE}.fit": "model < normal_equations < problem < solver < diagnosis < fit, solution",
+    f"{PACKAGE}.study": "checks < benchmarks < study",
+}
+#: Folders that only compute, without files, plots and command line: the core, fit and study.
+COMPUTE = "base xla scene acceleration tracing antialiasing rendering fit study".split()
+HOST_LIBRARIES = {"OpenImageIO", "matplotlib", "rich", "tyro"}
 
 
 @cache
@@ -33,14 +33,13 @@ def tree(module: str) -> ast.Module:
 
 
 def imports(module: str, *, when_loaded: bool = False) -> set[str]:
-    """The modules that one imports, by their full names.
+    """Returns the full names of the modules that a module imports.
 
-    **Arguments:** `when_loaded`: only those that are imported with it, not those that its
-    functions import when called.
+    **Arguments:** `when_loaded`: leave out imports inside functions, which run when called.
     """
     package = module if FILES[module].name == "__init__.py" else module.rpartition(".")[0]
     found = set()
-    for node in walk(tree(module), when_loaded):
+    for node in nodes(tree(module), when_loaded):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -52,71 +51,72 @@ def imports(module: str, *, when_loaded: bool = False) -> set[str]:
     return found
 
 
-def walk(node: ast.AST, when_loaded: bool):
+def nodes(node: ast.AST, when_loaded: bool):
     for child in ast.iter_child_nodes(node):
         if not (when_loaded and isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)):
             yield child
-            yield from walk(child, when_loaded)
+            yield from nodes(child, when_loaded)
 
 
-def within(module: str, packages: tuple[str, ...]) -> bool:
-    return any(module == package or module.startswith(f"{package}.") for package in packages)
+def entry(module: str, folder: str) -> str | None:
+    """Returns the entry of a folder that a module is in, None if it is outside of the folder."""
+    if not module.startswith(f"{folder}."):
+        return None
+    return module.removeprefix(f"{folder}.").split(".")[0]
 
 
-def below(module: str) -> list[str]:
-    return [name for name in FILES if within(name, (f"{PACKAGE}.{module}",))]
+def libraries(module: str, *, when_loaded: bool = False) -> set[str]:
+    return {name.split(".")[0] for name in imports(module, when_loaded=when_loaded)}
+
+
+def members(*folders: str) -> list[str]:
+    return [module for module in FILES if entry(module, PACKAGE) in folders]
 
 
 def test_imports_are_found():
-    found = imports(f"{PACKAGE}.files.images")
-    assert {"OpenImageIO", "numpy", f"{PACKAGE}.errors", f"{PACKAGE}.files.atomic"} <= found
-    found = imports(f"{PACKAGE}.files.images", when_loaded=True)
-    assert "OpenImageIO" not in found and f"{PACKAGE}.files.atomic" in found
-    assert f"{PACKAGE}.fit.solve" in imports(f"{PACKAGE}.fit")
-    assert f"{PACKAGE}.cli" in FILES and len(below("files")) >= 5
+    images = f"{PACKAGE}.files.images"
+    expected = {"OpenImageIO", "numpy", f"{PACKAGE}.base.errors", f"{PACKAGE}.files.atomic"}
+    assert expected <= imports(images)
+    loaded = imports(images, when_loaded=True)
+    assert "OpenImageIO" not in loaded and f"{PACKAGE}.files.atomic" in loaded
+    assert f"{PACKAGE}.fit.fit" in imports(f"{PACKAGE}.fit")
+    assert len(members("files")) >= 5 and len(members(*COMPUTE)) >= 50
 
 
-@pytest.mark.parametrize("module", CORE)
-def test_the_core_knows_nothing_around_it(module):
-    outer = (*OUTER, f"{PACKAGE}.fit", f"{PACKAGE}.study", PACKAGE, *HOST_LIBRARIES)
-    found = imports(f"{PACKAGE}.{module}")
-    of_core = {f"{PACKAGE}.{name}" for name in CORE}
-    assert not {name for name in found - of_core if within(name, outer)}
+@pytest.mark.parametrize("folder", ORDER)
+def test_order(folder):
+    levels = enumerate(ORDER[folder].split(" < "))
+    level = {name: number for number, names in levels for name in names.split(", ")}
+    entries = {entry(module, folder) for module in FILES} - {None}
+    assert entries == set(level), "the order names every entry of the folder, and no other"
+    upward = [
+        f"{module} imports {used}"
+        for module in FILES
+        for used in sorted(imports(module))
+        if (user := entry(module, folder))
+        and (source := entry(used, folder)) not in (None, user)
+        and level[source] >= level[user]
+    ]
+    assert upward == []
 
 
-def test_every_module_beside_the_core_has_a_known_place():
-    known = (f"{PACKAGE}.fit", f"{PACKAGE}.study", *OUTER)
-    places = (PACKAGE, *known, *(f"{PACKAGE}.{name}" for name in CORE))
-    assert [name for name in FILES if name != PACKAGE and not within(name, places[1:])] == []
+def test_computation_knows_no_files():
+    for module in members(*COMPUTE):
+        folders = {entry(name, PACKAGE) for name in imports(module)}
+        assert not folders & {"files", "cli"}, module
+        assert not libraries(module) & HOST_LIBRARIES, module
 
 
-@pytest.mark.parametrize("part", ["fit", "study"])
-def test_what_computes_knows_no_files_no_report_and_no_command_line(part):
-    assert below(part)
-    for module in below(part):
-        found = imports(module)
-        assert not {name for name in found if within(name, (*OUTER, *HOST_LIBRARIES))}, module
-        assert PACKAGE not in found, f"{module} imports the package itself, and so everything"
+def test_package_loads_no_library_of_the_host():
+    # nothing imports the command line, which may load what it needs
+    for module in set(FILES) - set(members("cli")):
+        assert not {name for name in imports(module) if entry(name, PACKAGE) == "cli"}, module
+        assert not libraries(module, when_loaded=True) & HOST_LIBRARIES, module
 
 
-def test_fit_does_not_know_what_studies_it():
-    for module in below("fit"):
-        assert not {name for name in imports(module) if within(name, (f"{PACKAGE}.study",))}
-
-
-def test_the_package_loads_no_library_of_the_host():
-    """What the command line itself imports does not count: nothing imports it."""
-    program = {f"{PACKAGE}.cli", f"{PACKAGE}.commands"}
-    assert not [name for name in set(FILES) - program if program & imports(name)]
-    for module in set(FILES) - program:
-        found = imports(module, when_loaded=True)
-        assert not {name for name in found if within(name, HOST_LIBRARIES)}, module
-
-
-def test_no_import_is_a_cycle():
-    """Not even one that is put off until a function is called, but for the package's own names."""
-    edges = {name: {x for x in imports(name) if x in FILES and x != PACKAGE} for name in FILES}
-    edges[PACKAGE] = imports(PACKAGE) & set(FILES)
+def test_no_cycle():
+    """Counts imports inside functions as well, except those of the package's public names."""
+    edges = {name: imports(name) & set(FILES) - {PACKAGE} for name in FILES}
     done: set[str] = set()
 
     def visit(module: str, path: tuple[str, ...]) -> None:
@@ -132,16 +132,17 @@ def test_no_import_is_a_cycle():
 
 def test_only_programs_import_the_whole_package():
     users = {name for name in FILES if PACKAGE in imports(name)}
-    programs = ("commands", "progress", "report", "files.images")
-    assert users <= {f"{PACKAGE}.{name}" for name in programs}
+    assert users <= {*members("cli"), f"{PACKAGE}.files.images"}
     assert not [name for name in users if PACKAGE in imports(name, when_loaded=True)]
 
 
 @pytest.mark.parametrize("module", FILES)
-def test_no_module_changes_jax_s_settings(module):
-    calls = [ast.unparse(n.func) for n in ast.walk(tree(module)) if isinstance(n, ast.Call)]
+def test_no_module_changes_jax_settings(module):
+    calls = [
+        ast.unparse(node.func) for node in ast.walk(tree(module)) if isinstance(node, ast.Call)
+    ]
     changes = [name for name in calls if name.endswith("config.update")]
-    assert not changes or module == f"{PACKAGE}.cli"  # which is a process of its own
+    assert not changes or module == f"{PACKAGE}.cli.main"  # which is a process of its own
     targets = [
         ast.unparse(target)
         for node in ast.walk(tree(module))

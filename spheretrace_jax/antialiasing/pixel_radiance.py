@@ -77,7 +77,7 @@ class _Looks(eqx.Module):
     ) -> tuple[Vec, Layers]:
         bounces = self.context.settings.bounces
         ray, source_hit, weight = lax.cond(
-            first, self._from_eye, lambda: self._from_layer(layer, choice)
+            first, lambda: self._from_eye(), lambda: self._from_layer(layer, choice)
         )
         follow = ~first if bounces > 1 else None
         context = self.context.with_settings(bounces=max(bounces - 2, 0))

@@ -16,7 +16,7 @@ from ..base.vec import Vec, grey, vec, where
 from ..scene.scene import Scene
 from .context import TraceContext
 from .hit import Hit, Surface
-from .texture import lookup, other_square, sphere_uv, worn
+from .texture import lookup, second_square, sphere_uv, texture_color
 
 #: Up to this many lights are written out; more are a loop, which compiles in the time of one.
 MOST_LIGHTS = 4
@@ -76,9 +76,11 @@ def surface_color(context: TraceContext, hit: Hit, surface: Surface, color: Vec)
     if context.needs.textures:
         outward = where(hit.inside, -surface.normal, surface.normal)
         images = tuple(t.image for t in context.scene.textures)
-        color = color * worn(hit.id, outward, images, context.scene.spheres.pic)
+        color = color * texture_color(
+            context.tables, hit.id, outward, images, context.scene.spheres.pic
+        )
     if context.needs.checkers:
-        other, checker_color = other_square(context.tables, hit.id, surface.point)
+        other, checker_color = second_square(context.tables, hit.id, surface.point)
         color = where(other, checker_color, color)
     return color
 

@@ -146,7 +146,7 @@ class Plane(eqx.Module):
         **Arguments:** as for `Sphere.pixel_coverage`.
         """
         del source_inside, may_be_inside
-        slope = ray.map(self.slope)
+        slope = ray.map(lambda ray: self.slope(ray))
         away = self.offset(ray.value.origin)
         side = jnp.where(away < 0, -1, 1).astype(away.dtype)
         reach = (jnp.abs(slope.dx) + jnp.abs(slope.dy)) / 2

@@ -244,7 +244,7 @@ class Sphere(eqx.Module):
 
         **Arguments:** as for `closest_hit`; `source_inside`: None for rays from the eye.
         """
-        foot = ray.map(self.perpendicular)
+        foot = ray.map(lambda ray: self.perpendicular(ray))
         along, q = foot.value
         reach, length = (norm(foot.dx[1]) + norm(foot.dy[1])) / 2, norm(q)
         square = self.radius * self.radius - dot(q, q)

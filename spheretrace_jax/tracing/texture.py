@@ -48,10 +48,12 @@ def lookup(image: Float[Array, "rows columns 3"], u: PixelArray, v: PixelArray) 
     return upper * (1 - lower_weight) + lower * lower_weight
 
 
-def worn(number: Ids, outward: Vec, images: tuple, pic: tuple[int, ...]) -> Vec:
+def texture_color(
+    tables: SceneTables, ids: Ids, outward: Vec, images: tuple, pic: tuple[int, ...]
+) -> Vec:
     """Returns the texture colour that multiplies an object's colour; white without a texture.
 
-    **Arguments:** `number`: the objects' ids. `outward`: outward normals. `images`: bitmaps of
+    **Arguments:** `ids`: of the objects. `outward`: outward normals. `images`: bitmaps of
     shape `(rows, columns, 3)`. `pic`: per sphere the number of its texture from 1, 0 for none.
     """
     u, v = sphere_uv(outward)
@@ -59,14 +61,13 @@ def worn(number: Ids, outward: Vec, images: tuple, pic: tuple[int, ...]) -> Vec:
     factor = Vec(one, one, one)
     # the last entry stands for all objects that are not spheres
     table = jnp.asarray((*pic, 0), jnp.int32)
-    is_sphere = (number >= 0) & (number < len(pic))
-    texture = table[jnp.where(is_sphere, number.astype(jnp.int32), len(pic))]
+    texture = table[jnp.where(tables.is_sphere(ids), ids.astype(jnp.int32), len(pic))]
     for k in sorted(set(pic) - {0}):
         factor = where(texture == k, lookup(images[k - 1], u, v), factor)
     return factor
 
 
-def other_square(tables: SceneTables, number: Ids, point: Vec) -> tuple[Mask, Vec]:
+def second_square(tables: SceneTables, ids: Ids, point: Vec) -> tuple[Mask, Vec]:
     """Finds points on the second squares of a checker, and the colour of these squares.
 
     Squares have a corner at the plane's point. Their sides run along the world's x axis projected
@@ -74,7 +75,7 @@ def other_square(tables: SceneTables, number: Ids, point: Vec) -> tuple[Mask, Ve
 
     **Returns:** the mask of points on second squares, and the second colour.
     """
-    plane, checker = gather_rows((tables.planes, tables.checkers), tables.plane_rows(number))
+    plane, checker = gather_rows((tables.planes, tables.checkers), tables.plane_rows(ids))
     n = jax.lax.stop_gradient(plane.normal)
     near_x_axis = (jnp.abs(n.x) > jnp.abs(n.y)) & (jnp.abs(n.x) > jnp.abs(n.z))
     zero, one = jnp.zeros_like(n.x), jnp.ones_like(n.x)
@@ -84,7 +85,7 @@ def other_square(tables: SceneTables, number: Ids, point: Vec) -> tuple[Mask, Ve
     bitangent = cross(n, tangent)
     offset = jax.lax.stop_gradient(point - plane.point)
     size = jax.lax.stop_gradient(checker.size)
-    has_checker = tables.is_plane(number) & (size > 0)
+    has_checker = tables.is_plane(ids) & (size > 0)
     side = jnp.where(has_checker, size, 1)
     squares = jnp.floor(dot(offset, tangent) / side) + jnp.floor(dot(offset, bitangent) / side)
     return has_checker & (squares % 2 != 0), checker.color

@@ -1,10 +1,10 @@
-"""Areas of half-planes and discs in a pixel's box: known values, brute force, derivatives."""
+"""Coverage: areas of half-planes and discs in a pixel: known values, counting, derivatives."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings, strategies as some
+from hypothesis import assume, given, settings, strategies as strategy
 
 from spheretrace_jax.antialiasing import coverage
 from spheretrace_jax.base.vec import Vec
@@ -14,15 +14,15 @@ disc, half_plane = jax.jit(coverage.disc_area), jax.jit(coverage.half_plane_area
 FLOATS = pytest.mark.parametrize("dtype", [np.float32, np.float64])
 
 RNG = np.random.default_rng(0)
-TURN = np.linalg.qr(RNG.normal(size=(3, 3)))[0].T  # rows: two axes of a plane and across it
+TURN = np.linalg.qr(RNG.normal(size=(3, 3)))[0].T  # rows: two axes of a plane and its normal
 
-# 200 x 200 places in the box
+# 200 x 200 points in the pixel
 X, Y = np.meshgrid(*[(np.arange(200) + 0.5) / 200 - 0.5] * 2)
 
 
 @jax.jit
 def flat_disc(q, qx, qy, radius):
-    """`disc` in the plane z = 0. **Arguments:** of shape (n, 2), the radius of shape (n,)."""
+    """Returns `disc` in the plane z = 0. **Arguments:** of shape (n, 2), `radius` of shape (n,)."""
     zero = jnp.zeros_like(radius)
     q, qx, qy = (Vec(v[:, 0], v[:, 1], zero) for v in (q, qx, qy))
     return disc(q, qx, qy, Vec(zero, zero, zero + 1), radius)
@@ -30,14 +30,14 @@ def flat_disc(q, qx, qy, radius):
 
 @jax.jit
 def square_disc(x, y, radius):
-    """The part of pixels at x, y inside a disc around the origin."""
+    """Returns the fraction of pixels at x, y inside a disc around the origin."""
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     axis = Vec(zero, zero, one)
     return disc(Vec(x, y, zero), Vec(one, zero, zero), Vec(zero, one, zero), axis, radius * one)
 
 
 def random_discs(n: int) -> tuple[np.ndarray, ...]:
-    """Discs from 1/30 to 30 pixels, whose edges run through the pixel or close by."""
+    """Draws discs from 1/30 to 30 pixels, whose edges cross the pixel or pass close to it."""
     rng = np.random.default_rng(1)
     radius = 10 ** rng.uniform(-1.5, 1.5, n)
     angle, length = rng.uniform(0, 2 * np.pi, n), radius + rng.uniform(-1, 1, n)
@@ -46,13 +46,13 @@ def random_discs(n: int) -> tuple[np.ndarray, ...]:
 
 
 def counted(q, qx, qy, radius) -> np.ndarray:
-    """The part of the 200 x 200 places that are inside."""
+    """Returns the fraction of the 200 x 200 points that are inside."""
     x, y = (q[k] + qx[k] * X + qy[k] * Y for k in (0, 1))
     return np.mean(x * x + y * y < radius * radius)
 
 
 @FLOATS
-def test_half_planes_have_their_known_areas(dtype):
+def test_known_areas_of_half_planes(dtype):
     f, fx, fy, area = np.array(
         [
             [0, 1, 0, 1 / 2],
@@ -73,16 +73,18 @@ def test_half_planes_have_their_known_areas(dtype):
 
 
 @FLOATS
-def test_half_planes_have_the_area_that_is_counted(dtype):
+def test_counted_areas_of_half_planes(dtype):
     f, fx, fy = np.random.default_rng(2).normal(size=(3, 200)).astype(dtype)
     fx[:5], fy[3:8] = 0, 0
     area = half_plane(f, fx, fy)
     inside = [np.mean(f[i] + fx[i] * X + fy[i] * Y > 0) for i in range(f.size)]
-    np.testing.assert_allclose(area, inside, atol=3e-3)  # half a row of places, where level
+    np.testing.assert_allclose(
+        area, inside, atol=3e-3
+    )  # half a row of points, where the edge is level
 
 
 @FLOATS
-def test_half_planes_change_by_the_length_of_their_edge(dtype):
+def test_half_plane_grows_by_its_edge(dtype):
     # by f: the edge's length over the gradient's
     f, fx, fy, length = np.array(
         [[0, 1, 0, 1], [0.2, 0, 4, 1 / 4], [0, 1, 1, 1], [-0.5, 1, 1, 1 / 2], [3, 1, 1, 0]], dtype
@@ -91,7 +93,7 @@ def test_half_planes_change_by_the_length_of_their_edge(dtype):
     np.testing.assert_allclose(slope, length, atol=1e-6)
 
 
-def test_an_edge_along_the_rows_is_the_limit_of_tilted_ones():
+def test_level_edge_is_the_limit_of_tilted_edges():
     f = jnp.linspace(-1, 1, 41)
     tilts = [half_plane(f, jnp.ones_like(f), jnp.full_like(f, m)) for m in (0, 1e-9, 1e-6)]
     slopes = [
@@ -106,7 +108,7 @@ def test_an_edge_along_the_rows_is_the_limit_of_tilted_ones():
 
 
 @FLOATS
-def test_discs_have_their_known_areas(dtype):
+def test_known_areas_of_discs(dtype):
     x, y, radius, area = np.array(
         [
             [0, 0, 0.3, np.pi * 0.09],
@@ -127,16 +129,18 @@ def test_discs_have_their_known_areas(dtype):
 
 
 @FLOATS
-def test_discs_have_the_area_that_is_counted(dtype):
+def test_counted_areas_of_discs(dtype):
     q, qx, qy, radius = (v.astype(dtype) for v in random_discs(200))
     area = flat_disc(q, qx, qy, radius)
     inside = [counted(q[i], qx[i], qy[i], radius[i]) for i in range(radius.size)]
     np.testing.assert_allclose(area, inside, atol=3e-3)
 
 
-def test_a_disc_is_the_same_from_all_sides():
+def test_disc_is_rotation_invariant():
     q, qx, qy, radius = random_discs(200)
-    along = RNG.normal(size=(2, 200, 1)) * TURN[2]  # what qx and qy have along the ray is not seen
+    along = (
+        RNG.normal(size=(2, 200, 1)) * TURN[2]
+    )  # components of qx and qy along the ray do not count
     planes = lambda rows: Vec(*jnp.asarray(rows).T)
     axis = planes(np.tile(TURN[2], (200, 1)))
     qx3, qy3 = (planes(v @ TURN[:2] + a) for v, a in zip((qx, qy), along, strict=True))
@@ -145,7 +149,7 @@ def test_a_disc_is_the_same_from_all_sides():
 
 
 @FLOATS
-def test_a_large_disc_is_a_half_plane(dtype):
+def test_large_disc_is_a_half_plane(dtype):
     rng = np.random.default_rng(3)
     angle, beyond = rng.uniform(0, 2 * np.pi, 100), rng.uniform(-0.8, 0.8, 100)
     c, s = np.cos(angle), np.sin(angle)
@@ -163,23 +167,26 @@ def test_a_large_disc_is_a_half_plane(dtype):
 @FLOATS
 @settings(max_examples=100, deadline=None)
 @given(
-    some.floats(-0.5, 0.5), some.floats(-0.5, 0.5), some.floats(1e-3, 3.4), some.floats(0, np.pi)
+    strategy.floats(-0.5, 0.5),
+    strategy.floats(-0.5, 0.5),
+    strategy.floats(1e-3, 3.4),
+    strategy.floats(0, np.pi),
 )
-def test_the_parts_of_all_pixels_add_up_to_the_disc(dtype, x, y, radius, angle):
+def test_pixels_sum_to_the_disc(dtype, x, y, radius, angle):
     at = np.arange(-4.0, 5)
     px, py = np.meshgrid(at + x, at + y)
     c, s = np.cos(angle), np.sin(angle)
     n = px.size
     q = np.stack([c * px - s * py, s * px + c * py], axis=-1).reshape(n, 2).astype(dtype)
     axes = (np.broadcast_to(np.array(v, dtype), (n, 2)) for v in ((c, s), (-s, c)))
-    parts = flat_disc(q, *axes, np.full(n, radius, dtype))
+    areas = flat_disc(q, *axes, np.full(n, radius, dtype))
     eps = float(np.finfo(dtype).eps)
-    np.testing.assert_allclose(np.sum(parts), np.pi * radius**2, rtol=64 * eps, atol=256 * eps)
+    np.testing.assert_allclose(np.sum(areas), np.pi * radius**2, rtol=64 * eps, atol=256 * eps)
 
 
 @settings(max_examples=100, deadline=None)
-@given(*[some.floats(-2, 2)] * 3)
-def test_a_half_plane_is_the_mean_of_the_boxs_quarters_and_the_rest_of_its_negative(f, fx, fy):
+@given(*[strategy.floats(-2, 2)] * 3)
+def test_half_plane_is_the_mean_of_quarters(f, fx, fy):
     assume(max(abs(fx), abs(fy)) > 1e-6)
     f, fx, fy = (np.array([v]) for v in (f, fx, fy))
     quarters = [
@@ -187,12 +194,12 @@ def test_a_half_plane_is_the_mean_of_the_boxs_quarters_and_the_rest_of_its_negat
         for a in (-0.25, 0.25)
         for b in (-0.25, 0.25)
     ]
-    whole = half_plane(f, fx, fy)
-    np.testing.assert_allclose(whole, sum(quarters) / 4, atol=1e-7)
-    np.testing.assert_allclose(half_plane(-f, -fx, -fy), 1 - whole, atol=1e-7)
+    total = half_plane(f, fx, fy)
+    np.testing.assert_allclose(total, sum(quarters) / 4, atol=1e-7)
+    np.testing.assert_allclose(half_plane(-f, -fx, -fy), 1 - total, atol=1e-7)
 
 
-def test_a_small_disc_grows_by_its_circumference_wherever_it_is():
+def test_small_disc_grows_by_its_circumference():
     x, y = np.random.default_rng(4).uniform(-0.4, 0.4, (2, 50))
     radius = np.full(50, 0.05)
     slope = jax.grad(lambda *v: square_disc(*v).sum(), argnums=(0, 1, 2))(x, y, radius)
@@ -200,7 +207,7 @@ def test_a_small_disc_grows_by_its_circumference_wherever_it_is():
     np.testing.assert_allclose(slope[:2], 0, atol=1e-12)
 
 
-def test_derivatives_of_discs_are_those_of_differences():
+def test_derivatives_of_discs_are_differences():
     inputs = tuple(jnp.asarray(v) for v in random_discs(200))
     rng = np.random.default_rng(5)
     along = tuple(jnp.asarray(rng.normal(size=v.shape)) for v in inputs)
@@ -214,14 +221,14 @@ def test_derivatives_of_discs_are_those_of_differences():
 
 
 @FLOATS
-def test_degenerate_discs_have_finite_areas_and_derivatives(dtype):
+def test_degenerate_discs_are_finite(dtype):
     x, y, xx, xy, yx, yy, radius = np.array(
         [
-            [0, 0, 0, 0, 0, 0, 1],  # no box
+            [0, 0, 0, 0, 0, 0, 1],  # no pixel
             [1, 0, 0, 0, 0, 0, 1],  # a point on the circle
             [0, 0, 1, 0, 0, 1, 1],  # the middle of the disc
-            [1, 0, 1, 0, 2, 0, 1],  # a box without area
-            [1, 0, 1, 0, 0, 1, 0.5],  # the box's side touches the circle
+            [1, 0, 1, 0, 2, 0, 1],  # a pixel without area
+            [1, 0, 1, 0, 0, 1, 0.5],  # the pixel's side touches the circle
             [0.5, 0.5, 1, 0, 0, 1, 1],  # a corner in the middle of the disc
             [1, 0, 1e-20, 0, 0, 1e-20, 1],
             [0, 0, 1e15, 0, 0, 1e15, 1],

@@ -1,6 +1,6 @@
-"""Fits: time and error beside the dense Jacobian, recovery of random scenes: `make bench-fit`.
+"""Fits against the dense Jacobian, and recovery of random scenes: `make bench-fit`.
 
-Times are medians of fits after compilation; the first call is apart.
+Times are medians of fits after compilation. The first call is a separate column.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from spheretrace_jax.fit.model.products import PRODUCTS, determined_products
 from spheretrace_jax.study.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
-# products whose standard deviation is less are determined
+# products with a smaller standard deviation count as determined
 KNOWN = 1e-3
 DENSE, SAME = "256x256, Optimistix's LM, dense Jacobian", "256x256 float64"
 
@@ -32,7 +32,7 @@ def nine_spheres(dtype: str) -> st.Scene:
 
 
 def timed(function, runs: int) -> tuple[object, float, float]:
-    """What a function returns, the seconds of its first call and the median of later ones."""
+    """Returns a function's value, the seconds of its first call, and the median of later calls."""
     seconds = []
     for _ in range(runs + 1):
         start = time.perf_counter()
@@ -42,24 +42,24 @@ def timed(function, runs: int) -> tuple[object, float, float]:
 
 
 def errors(found: st.Scene, truth: st.Scene) -> tuple[float, float]:
-    """The largest relative error of the determined products, and of the light's position."""
+    """Returns the largest relative error of the determined products and of the light's position."""
     a, b = determined_products(found), determined_products(truth)
     products = max(np.abs(a[k] - b[k]).max() / np.abs(b[k]).max() for k in PRODUCTS)
-    away = np.linalg.norm(b["light_position"])
-    return products, np.abs(a["light_position"] - b["light_position"]).max() / away
+    distance = np.linalg.norm(b["light_position"])
+    return products, np.abs(a["light_position"] - b["light_position"]).max() / distance
 
 
 def displaced(scene: st.Scene) -> st.Scene:
-    """Centres off by half a radius along x and y, radii by 30 %, no sphere within another."""
+    """Moves centres by half a radius along x and y, radii by 30 %, no sphere into another."""
     i, j = np.divmod(np.arange(9), 3)
     radius = scene.spheres.radius
-    away = np.stack([(-1.0) ** j, (-1.0) ** i, 0 * i], axis=1) / np.sqrt(8)
-    new = scene.spheres.center + away * radius[:, None], radius * (1 - 0.3 * (-1.0) ** (i + j))
+    move = np.stack([(-1.0) ** j, (-1.0) ** i, 0 * i], axis=1) / np.sqrt(8)
+    new = scene.spheres.center + move * radius[:, None], radius * (1 - 0.3 * (-1.0) ** (i + j))
     return eqx.tree_at(lambda s: (s.spheres.center, s.spheres.radius), scene, new)
 
 
 def time_and_error() -> None:
-    """The nine spheres: structured, from their lights, dense, and with free geometry."""
+    """Fits the nine spheres: structured, from their lights, dense, and with free geometry."""
     print(
         "nine spheres from the wrong start against our own picture: colours, ka, kd, ks and light"
     )
@@ -67,7 +67,7 @@ def time_and_error() -> None:
     dense = optx.LevenbergMarquardt(1e-10, 1e-10)
     solid = (*DEFAULT_FREE, "center", "radius")
     medians = {}
-    for name, size, dtype, options, runs in (
+    for name, size, dtype, settings, runs in (
         ("512x512 float64", 512, "float64", {}, 7),
         ("512x512 float64, start='lights'", 512, "float64", dict(start="lights"), 7),
         ("512x512 float32", 512, "float32", {}, 7),
@@ -79,10 +79,10 @@ def time_and_error() -> None:
     ):
         truth = nine_spheres(dtype)
         start = wrong_start(truth)
-        if "free" in options:
+        if "free" in settings:
             truth, start = truth.with_antialias(1), displaced(start.with_antialias(1))
         target = np.asarray(st.render(truth, width=size, height=size, bounces=0))
-        run = lambda s=start, t=target, o=options: st.fit(s, t, bounces=0, **o)
+        run = lambda s=start, t=target, k=settings: st.fit(s, t, bounces=0, **k)
         found, first, median = timed(run, runs)
         medians[name] = median
         products, light = errors(found.scene, truth)
@@ -109,7 +109,7 @@ def outliers() -> None:
 
 
 def random_scene(rng: np.random.Generator, n: int, lights: int) -> st.Scene:
-    """n spheres side by side, and lights anywhere in the half space of the camera."""
+    """Makes n spheres side by side, and lights in the half space of the camera."""
     grid = int(np.ceil(np.sqrt(n)))
     cell = rng.permutation(grid * grid)[:n]
     side = 420 / grid
@@ -125,48 +125,50 @@ def random_scene(rng: np.random.Generator, n: int, lights: int) -> st.Scene:
         ks=rng.uniform(0.1, 0.5, n),
         exponent=10 ** rng.uniform(0.7, 2, n),
     )
-    return st.Scene(spheres, st.Lights(anywhere(rng, lights)), st.Camera(0.0, 0.0, 1200.0, 1200.0))
+    return st.Scene(
+        spheres, st.Lights(random_lights(rng, lights)), st.Camera(0.0, 0.0, 1200.0, 1200.0)
+    )
 
 
-def anywhere(rng: np.random.Generator, lights: int) -> np.ndarray:
-    away = rng.normal(size=(lights, 3))
-    away[:, 2] = np.abs(away[:, 2])
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
-    return away * 10 ** rng.uniform(np.log10(400), 4, (lights, 1))
+def random_lights(rng: np.random.Generator, lights: int) -> np.ndarray:
+    direction = rng.normal(size=(lights, 3))
+    direction[:, 2] = np.abs(direction[:, 2])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return direction * 10 ** rng.uniform(np.log10(400), 4, (lights, 1))
 
 
 def recovered(found: st.Fit, truth: st.Scene) -> bool:
-    """Whether everything that the picture determines has come back, up to the lights' order."""
+    """Returns whether all determined parameters are recovered, up to the order of the lights."""
     a, b = found.scene, truth
     for product in PRODUCTS.values():
         spread = found.uncertainty.of(product)
         off = np.where(spread < KNOWN, np.abs(product(a) - product(b)), 0)
         if (off > np.maximum(1e-6, 2 * spread)).any():
             return False
-    left = list(np.asarray(b.lights.position))
+    remaining = list(np.asarray(b.lights.position))
     for position in np.asarray(a.lights.position):
-        apart = [np.linalg.norm(position - other) / np.linalg.norm(other) for other in left]
+        apart = [np.linalg.norm(position - other) / np.linalg.norm(other) for other in remaining]
         if min(apart) > 1e-5:
             return False
-        left.pop(int(np.argmin(apart)))
+        remaining.pop(int(np.argmin(apart)))
     return True
 
 
 def recovery(count: int) -> None:
-    """`count` scenes each of 1, 2 and 3 lights, started from nothing."""
+    """Fits `count` scenes each of 1, 2 and 3 lights, started from nothing."""
     print(f"{count} random scenes each, 2 to 20 spheres, 128x128, start='auto':")
     for lights in (1, 2, 3):
         rng = np.random.default_rng(lights)
-        good, said, seconds = 0, 0, []
+        good, admitted, seconds = 0, 0, []
         for _ in range(count):
-            # few numbers of spheres, each of which is compiled for
+            # few numbers of spheres, as each number is compiled
             truth = random_scene(rng, int(rng.choice([2, 3, 5, 9, 14, 20])), lights)
             target = np.asarray(st.render(truth, width=128, height=128, bounces=0))
             s = truth.spheres
             grey = (jnp.full_like(s.color, 0.5), *(jnp.full_like(s.ka, x) for x in (0.3, 0.5, 0.2)))
-            places = lambda x: (x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks)
-            start = eqx.tree_at(places, truth, grey)
-            moved = jnp.asarray(anywhere(rng, lights), truth.dtype)
+            materials = lambda x: (x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks)
+            start = eqx.tree_at(materials, truth, grey)
+            moved = jnp.asarray(random_lights(rng, lights), truth.dtype)
             start = eqx.tree_at(lambda x: x.lights.position, start, moved)
             began = time.perf_counter()
             found = st.fit(start, target, bounces=0, start="auto", max_steps=60)
@@ -174,11 +176,11 @@ def recovery(count: int) -> None:
             if recovered(found, truth):
                 good += 1
             elif not found.trust.ok:
-                said += 1
+                admitted += 1
         lost = count - good
         print(
-            f"  {lights} light(s): {good} of {count} recovered, {said} of {lost} others said so, "
-            f"median {statistics.median(seconds):.2f} s",
+            f"  {lights} light(s): {good} of {count} recovered, {admitted} of {lost} others said"
+            f" so, median {statistics.median(seconds):.2f} s",
             flush=True,
         )
 

@@ -1,8 +1,9 @@
 """One scene fitted by `st.fit` and by Mitsuba 3 with Adam: errors over seconds.
 
-Needs the extra `bench` and LLVM's shared library (Debian: libllvm19). The nine spheres are made
-diffuse, which both draw; colours start grey, the light displaced. Each program fits a picture of
-its own, which it can reach exactly. First calls are apart; Mitsuba keeps its kernels on the disk.
+Needs the extra `bench` and LLVM's shared library (Debian: libllvm19). The nine spheres are matt, as
+both programs draw matt spheres. Colours start grey, and the light is displaced. Each program fits a
+picture that it drew, so that an exact fit exists. First calls are separate; Mitsuba caches its
+kernels on the disk.
 """
 
 import argparse
@@ -34,14 +35,14 @@ Curve = list[tuple[float, float, float]]  # seconds, error of the light, error o
 
 
 def start_and_truth(dtype: str) -> tuple[st.Scene, st.Scene]:
-    """kd is right from the start and is not fitted."""
+    """Returns a start with the right kd, which is not fitted, and the truth."""
     truth = matt(st.load_scene(SCENE, dtype))
     wrong = lambda s: (s.spheres.color, s.lights.position)
     return eqx.tree_at(wrong, truth, wrong(wrong_start(truth))), truth
 
 
 def errors(found: np.ndarray, truth: st.Scene) -> tuple[float, float]:
-    """How far the light is off, world units, and the largest error of a reflectance."""
+    """Returns the error of the light, in units of length, and the largest of a reflectance."""
     off = found - fitted(truth)
     return float(np.linalg.norm(off[0])), float(np.abs(off[1:]).max())
 
@@ -50,7 +51,7 @@ def picture(scene: st.Scene) -> np.ndarray:
     return np.asarray(st.render(scene, width=SIZE, height=SIZE, bounces=0))
 
 
-def our_fit(dtype: str, seconds: float) -> Curve:  # ends by itself, whatever the seconds
+def our_fit(dtype: str, seconds: float) -> Curve:  # ends without regard to `seconds`
     start, truth = start_and_truth(dtype)
     target, curve, began = picture(truth), [], time.perf_counter()
     note = lambda s: curve.append((time.perf_counter() - began, *errors(fitted(s), truth)))

@@ -1,4 +1,4 @@
-"""The programs that a user would otherwise pick, drawing our scenes: POV-Ray and Mitsuba 3."""
+"""Peers, other renderers that draw our scenes: POV-Ray and Mitsuba 3."""
 
 import re
 import shutil
@@ -13,19 +13,19 @@ from spheretrace_jax.study.benchmarks.mitsuba import LIGHT, mitsuba as found_mit
 
 
 def povray_seconds(scene: st.Scene, size: int, bounces: int) -> float:
-    """POV-Ray's own trace time, on all cores; nan where it is missing."""
+    """Returns the trace time that POV-Ray reports, on all cores, nan without POV-Ray."""
     if shutil.which("povray") is None:
         return float("nan")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.pov")
         st.write_povray(file, scene, bounces=bounces)
         command = ["povray", f"+I{file}", f"+W{size}", f"+H{size}", "-A", "-D", "-F"]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stderr
-    return float(re.search(r"Trace Time:.*\((\S+) seconds\)", said)[1])
+        printed = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+    return float(re.search(r"Trace Time:.*\((\S+) seconds\)", printed)[1])
 
 
 def mitsuba() -> tuple[Any, Any] | None:
-    """Mitsuba and Dr.Jit, None where they are missing."""
+    """Imports Mitsuba and Dr.Jit; returns None if they are missing."""
     try:
         return found_mitsuba()
     except ImportError as error:
@@ -33,26 +33,26 @@ def mitsuba() -> tuple[Any, Any] | None:
         return None
 
 
-def mitsuba_picture(mi: Any, dr: Any, world: Any) -> Callable[[], None]:
-    """Draws a picture with one sample per pixel."""
+def mitsuba_picture(mi: Any, dr: Any, scene: Any) -> Callable[[], None]:
+    """Returns a function that draws a picture with one sample per pixel."""
 
     def draw() -> None:
-        dr.eval(mi.render(world, spp=1, seed=0))
+        dr.eval(mi.render(scene, spp=1, seed=0))
         dr.sync_thread()
 
     return draw
 
 
 def mitsuba_gradient(
-    mi: Any, dr: Any, world: Any, integrator: str, geometry: bool
+    mi: Any, dr: Any, scene: Any, integrator: str, geometry: bool
 ) -> Callable[[], None]:
-    """The gradient of the mean of (picture - 0.3)^2 by reflectances and the light's position.
+    """Returns a function: the gradient of mean (picture - 0.3)^2 by reflectances and the light.
 
     **Arguments:** `integrator`: `"direct"`, `"prb"`, or `"direct_projective"`, which sees edges.
-    `geometry`: by the spheres' places, too.
+    `geometry`: by the spheres' transformations, too.
     """
     by = mi.load_dict({"type": integrator})
-    parameters = mi.traverse(world)
+    parameters = mi.traverse(scene)
     wanted = ("reflectance.value", *(("to_world",) if geometry else ()))
     names = [name for name in parameters.keys() if name.endswith(wanted)]
     # `prb` and `direct_projective` do not reach a point light's position
@@ -62,7 +62,7 @@ def mitsuba_gradient(
         for name in names:
             dr.enable_grad(parameters[name])
         parameters.update()
-        seen = mi.render(world, parameters, integrator=by, spp=1, seed=0)
+        seen = mi.render(scene, parameters, integrator=by, spp=1, seed=0)
         dr.backward(dr.mean(dr.square(seen - 0.3)))
         dr.eval([dr.grad(parameters[name]) for name in names])
         dr.sync_thread()

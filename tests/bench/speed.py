@@ -1,7 +1,7 @@
-"""Time of our work beside its peers in the same run, one table: `make bench`.
+"""Run times against peers in the same run, one table: `make bench`.
 
-Medians of interleaved runs on all cores; the first call, with compilation, apart. What is missing,
-POV-Ray or Mitsuba (the extra `bench`, and LLVM's shared library), is left out of the table.
+Times are medians of interleaved runs on all cores. The first call, with compilation, is a separate
+column. The table leaves out a missing POV-Ray or Mitsuba (the extra `bench`, and LLVM's library).
 """
 
 import argparse
@@ -31,7 +31,7 @@ SIZE, MANY_SIZE, RUNS, SECONDS = 1024, 512, 9, 6.0
 
 Work = Callable[[], Any]
 Row = tuple[str, Work, dict[str, Work], float | None]
-"""What is done; how we do it; how peers do; the ratio to the first peer that we mean to reach."""
+"""The name of the work, our function, the peers' functions, the wanted ratio to the first."""
 
 SHADING = {
     "color": lambda s: s.spheres.color,
@@ -45,13 +45,13 @@ GEOMETRY = {"center": lambda s: s.spheres.center, "radius": lambda s: s.spheres.
 
 
 def shadowed_spheres() -> st.Scene:
-    """The lecture's scene with a light that casts shadows, as its own does not."""
+    """Returns the lecture's scene with another light, which casts shadows."""
     lights = st.Lights(jnp.array([[100, 900, 300]], jnp.float32))
     return eqx.tree_at(lambda s: s.lights, nine_spheres("float32"), lights)
 
 
 def random_spheres(count: int) -> st.Scene:
-    """Spheres of a cloud that looks about as dense however many there are."""
+    """Makes a cloud of spheres that looks equally dense for any number of spheres."""
     rng = np.random.default_rng(0)
     size = 32 * (9 / count) ** (1 / 3)
     spheres = st.Spheres(
@@ -66,9 +66,9 @@ def random_spheres(count: int) -> st.Scene:
     return st.Scene(spheres, st.Lights(light), st.Camera(*angles))
 
 
-def gradient(scene: st.Scene, places: dict[str, Callable], size: int, **settings: Any) -> Work:
-    """Of the mean of (picture - 0.3)^2, by some of the scene's parameters."""
-    at = lambda s: [place(s) for place in places.values()]
+def gradient(scene: st.Scene, parameters: dict[str, Callable], size: int, **settings: Any) -> Work:
+    """Returns a function: the gradient of mean (picture - 0.3)^2 by the listed parameters."""
+    at = lambda s: [select(s) for select in parameters.values()]
     needs = st.needs(scene)
 
     @partial(jax.jit, compiler_options=compiler_options())
@@ -88,7 +88,7 @@ def picture(scene: st.Scene, size: int, **settings: Any) -> Work:
 
 
 def normal_equations(scene: st.Scene, size: int) -> Work:
-    """Of a fit of colours, ka, kd, ks and the light."""
+    """Returns a function: the normal equations of a fit of colours, ka, kd, ks and the light."""
     start = eqx.tree_at(lambda s: s.lights.position, scene, scene.lights.position + 1)
     target = np.asarray(st.render(scene, width=size, height=size, bounces=0))
     free = ("color", "ka", "kd", "ks", "light_position")
@@ -103,7 +103,7 @@ def rows(many: list[int]) -> Iterator[Row]:
     matt = eqx.tree_at(lambda s: (s.spheres.ks, s.spheres.kgr), scene, replace_fn=jnp.zeros_like)
 
     def mitsuba_does(name: str, do: Callable, *how: Any) -> dict[str, Work]:
-        """The same of matt spheres by Mitsuba, if there is one."""
+        """Returns Mitsuba's work on matt spheres, nothing without Mitsuba."""
         return {} if peer is None else {name: do(*peer, mitsuba_scene(peer[0], matt, SIZE), *how)}
 
     draw = picture(scene, SIZE, bounces=0)
@@ -128,24 +128,24 @@ def rows(many: list[int]) -> Iterator[Row]:
         cloud = random_spheres(count)
         peers = pov(cloud, MANY_SIZE, 0) if count <= 100_000 else {}
         if peer is not None:
-            world = mitsuba_scene(peer[0], cloud, MANY_SIZE, "ellipsoids")
-            peers = {"Mitsuba ellipsoids": mitsuba_picture(*peer, world)} | peers
+            theirs = mitsuba_scene(peer[0], cloud, MANY_SIZE, "ellipsoids")
+            peers = {"Mitsuba ellipsoids": mitsuba_picture(*peer, theirs)} | peers
         bound = 1.2 if count <= 10_000 else 3.0 if count <= 100_000 else None
         yield f"{count:,} spheres, {MANY_SIZE}x{MANY_SIZE}", picture(cloud, MANY_SIZE), peers, bound
 
 
 def timed(work: Work) -> float:
-    """Seconds of one run; what says its own time is believed."""
+    """Returns the seconds of one run, or the seconds that the work reports."""
     start = time.perf_counter()
-    said = jax.block_until_ready(work())
-    return said if isinstance(said, float) else time.perf_counter() - start
+    result = jax.block_until_ready(work())
+    return result if isinstance(result, float) else time.perf_counter() - start
 
 
 def settled(work: Work) -> float:
-    """Seconds of a run in a row of them.
+    """Returns the seconds of a run within a row of equal runs.
 
-    After others have run, the system may leave a program's threads on one core for some runs: the
-    picture then takes 14 ms and not 8.
+    After another program has run, the system may keep both threads on one core for a few runs: the
+    picture then takes 14 ms, not 8.
     """
     runs, began = [], time.perf_counter()
     while len(runs) < 3 or time.perf_counter() - began < 0.2:
@@ -154,7 +154,7 @@ def settled(work: Work) -> float:
 
 
 def measured(work: Work, peers: dict[str, Work]) -> tuple[float, list[float]]:
-    """Our first call, and the medians, ours first."""
+    """Returns our first call and the medians, ours first."""
     first = timed(work)
     everything = [work, *peers.values()]
     for peer in peers.values():

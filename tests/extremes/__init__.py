@@ -1,5 +1,5 @@
 """The catalogue of stiff and extreme cases: run as tests, printed as docs/extremes.md."""
 
-from extremes import covered, derivatives, files, fits, rays, shading, spawned, views
+from extremes import derivatives, edges, files, fits, intersections, secondary_rays, shading, views
 
-PARTS = [rays, spawned, shading, covered, views, derivatives, fits, files]
+PARTS = [intersections, secondary_rays, shading, edges, views, derivatives, fits, files]

@@ -1,4 +1,4 @@
-"""`Case`: something stiff or extreme that was tried, what must hold, and what was measured."""
+"""`Case`: an extreme input, the promise that must hold for it, and the measurement."""
 
 import dataclasses
 from collections.abc import Callable
@@ -7,22 +7,24 @@ from types import ModuleType
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One line of the catalogue."""
+    """A line of the catalogue."""
 
-    tried: str  #: what is extreme about it
-    promise: str  #: what must hold
-    check: Callable[[], str]  #: says what was measured; AssertionError if it does not hold
-    source: str = ""  #: where the case is known from
-    slow: bool = False  #: takes more than some seconds
+    tried: str  #: the extreme input
+    promise: str  #: the promise that must hold
+    check: Callable[
+        [], str
+    ]  #: returns the measurement; raises AssertionError if the promise is broken
+    source: str = ""  #: the literature or the fault that the case is known from
+    slow: bool = False  #: takes more than a few seconds
 
 
 def case(tried: str, promise: str, source: str = "", slow: bool = False) -> Callable:
-    """Makes a `Case` of a function that asserts a promise and returns what was measured."""
+    """Makes a `Case` of a function that asserts a promise and returns the measurement."""
     return lambda check: Case(tried, promise, check, source, slow)
 
 
 def cases(module: ModuleType) -> list[Case]:
-    """The cases of a module, in its order: single ones and lists of them."""
+    """Returns the cases of a module in its order, from single cases and lists of cases."""
     found = []
     for value in vars(module).values():
         if isinstance(value, Case):

@@ -1,8 +1,8 @@
 """Derivatives at all these extremes.
-Of a weighted sum of each picture of the parts above, in reverse mode: by each array, along a random
-direction in which its numbers change by parts of themselves, against central differences of the
-lecture's formulas in numbers of 50 digits. An eps is of the sum of all |derivative x change|, and
-of the weighted sum itself.
+A weighted sum of each picture above is differentiated in reverse mode by each array. The derivative
+along a random relative change of the array is compared with central differences of the lecture's
+formulas in numbers of 50 digits. An eps is relative to the sum of all |derivative x change| and of
+the weighted sum.
 """
 
 import jax
@@ -11,14 +11,14 @@ import numpy as np
 import spheretrace_jax as st
 from extremes import shading, views
 from extremes.case import Case
-from extremes.draw import SIDE, WEIGHTS, Extreme, drawn
 from extremes.exact import exact, picture, slope, to_exact
+from extremes.pictures import SIDE, WEIGHTS, Extreme, drawn
 
-EVERY = shading.SCENES | views.SCENES
+SCENES = shading.SCENES | views.SCENES
 
 
 def derivative_case(tried: str, extreme: Extreme) -> Case:
-    """All arrays of a scene: finite, and equal to the exact ones where there are any."""
+    """Compares the derivatives by all arrays of a scene with exact ones, if these exist."""
 
     def check() -> str:
         scene, found = extreme.scene.astype(np.float32), []
@@ -34,12 +34,14 @@ def derivative_case(tried: str, extreme: Extreme) -> Case:
         each = zip(worst, ("float32", "float64"), strict=True)
         return ", ".join(f"{eps:.2g} eps in {dtype} ({name})" for (name, eps), dtype in each)
 
-    there = f"; right to {extreme.slopes:g} eps" if extreme.smooth else " (it has a jump or a kink)"
-    return Case(tried, "finite" + there, check, slow=extreme.bounces > 0)
+    suffix = (
+        f"; right to {extreme.slopes:g} eps" if extreme.smooth else " (it has a jump or a kink)"
+    )
+    return Case(tried, "finite" + suffix, check, slow=extreme.bounces > 0)
 
 
 def errors(scene: st.Scene, found: list[st.Scene], bounces: int) -> list[dict[str, float]]:
-    """How far some derivatives are off by each array of a scene, in eps of their type."""
+    """Returns the errors of derivatives by each array of a scene, in eps of their type."""
     rng, weights, true = np.random.default_rng(1), to_exact(WEIGHTS), exact(scene)
     value = lambda scene: (weights * picture(scene, (SIDE, SIDE), bounces)).sum()
     total, off = float(value(true)), [{} for _ in found]
@@ -57,4 +59,4 @@ def errors(scene: st.Scene, found: list[st.Scene], bounces: int) -> list[dict[st
     return off
 
 
-DERIVATIVES = [derivative_case(tried, extreme) for tried, extreme in EVERY.items()]
+DERIVATIVES = [derivative_case(tried, extreme) for tried, extreme in SCENES.items()]

@@ -1,7 +1,7 @@
-"""The lecture's rays and shading in numbers of 50 digits, written for one pixel and on their own.
+"""The lecture's rays and shading in numbers of 50 digits, pixel by pixel.
 
-Nothing here is shared with the renderer. Scenes of exact numbers are ordinary `Scene`s whose arrays
-hold mpmath's numbers.
+No code is shared with the renderer. Scenes of exact numbers are `Scene`s whose arrays hold mpmath's
+numbers.
 """
 
 import jax
@@ -23,7 +23,7 @@ to_float = np.vectorize(float, otypes=[float])
 
 
 def exact(scene: st.Scene) -> st.Scene:
-    """The same scene, its numbers as exact ones."""
+    """Converts the numbers of a scene to exact numbers."""
     return jax.tree.map(lambda leaf: to_exact(np.asarray(leaf)), scene)
 
 
@@ -36,23 +36,23 @@ def unit(v: Vector) -> Vector:
 
 
 def sphere_roots(o: Vector, d: Vector, c: Vector, radius: Number) -> list[Number]:
-    """The t at which o + t d meets a sphere, for d of any length: two, or none."""
+    """Returns the two t, or none, at which o + t d meets a sphere, for d of any length."""
     oc = c - o
-    along, square = oc @ d / (d @ d), radius**2 - passes_by(o, d, c) ** 2
+    along, square = oc @ d / (d @ d), radius**2 - line_distance(o, d, c) ** 2
     if square < 0:
         return []
     half = EXACT.sqrt(square / (d @ d))
     return [along - half, along + half]
 
 
-def passes_by(o: Vector, d: Vector, c: Vector) -> Number:
-    """How far from a point a line passes."""
+def line_distance(o: Vector, d: Vector, c: Vector) -> Number:
+    """Returns the distance of a line from a point."""
     oc = c - o
     return length(oc - d * (oc @ d / (d @ d)))
 
 
 def ray(camera: st.Camera, column: int, row: int, size: tuple[int, int]) -> tuple[Vector, Vector]:
-    """The eye and the unit direction through the centre of a pixel."""
+    """Returns the eye and the unit direction through the centre of a pixel."""
     theta, phi, mu, distance, window = (x[()] for x in map(np.asarray, jax.tree.leaves(camera)))
     (st_, ct), (sp, cp) = [(EXACT.sin(x), EXACT.cos(x)) for x in (theta, phi)]
     eye = mu * np.array([sp * ct, sp * st_, cp])
@@ -68,34 +68,34 @@ def ray(camera: st.Camera, column: int, row: int, size: tuple[int, int]) -> tupl
 def pixel(
     scene: st.Scene, column: int, row: int, size: tuple[int, int], bounces: int = 0
 ) -> Vector:
-    """What one ray sees, with Phong's highlight. **Arguments:** `scene`: of exact numbers."""
-    return _seen(scene, *ray(scene.camera, column, row, size), bounces, None)
+    """Returns the colour of a ray, with Phong's highlight, for a `scene` of exact numbers."""
+    return _color(scene, *ray(scene.camera, column, row, size), bounces, None)
 
 
 def picture(scene: st.Scene, size: tuple[int, int], bounces: int = 0) -> np.ndarray:
-    """All pixels, of exact numbers, shape `(height, width, 3)`."""
+    """Returns all pixels as exact numbers, of shape `(height, width, 3)`."""
     width, height = size
     rows = [[pixel(scene, i, j, size, bounces) for i in range(width)] for j in range(height)]
     return np.array(rows)
 
 
-def slope(scene: st.Scene, which: int, move: np.ndarray, value) -> Number:
-    """The derivative of a value of a scene as one of its arrays moves, by a central difference.
+def slope(scene: st.Scene, array: int, move: np.ndarray, value) -> Number:
+    """Returns the derivative of a value as an array of a scene moves, by a central difference.
 
     The step is 1e-20 of the move, so that the error is of the order of 1e-30.
     """
     leaves, structure = jax.tree.flatten(scene)
 
-    def there(step: Number) -> Number:
-        moved = [*leaves[:which], leaves[which] + step * move, *leaves[which + 1 :]]
+    def value_at(step: Number) -> Number:
+        moved = [*leaves[:array], leaves[array] + step * move, *leaves[array + 1 :]]
         return value(jax.tree.unflatten(structure, moved))
 
-    return (there(STEP) - there(-STEP)) / (2 * STEP)
+    return (value_at(STEP) - value_at(-STEP)) / (2 * STEP)
 
 
-def _seen(scene: st.Scene, o: Vector, d: Vector, bounces: int, leaving: tuple | None) -> Vector:
+def _color(scene: st.Scene, o: Vector, d: Vector, bounces: int, source_hit: tuple | None) -> Vector:
     s, lights = scene.spheres, scene.lights
-    hit = _nearest(s, o, d, leaving)
+    hit = _closest_hit(s, o, d, source_hit)
     if hit is None:
         return scene.background
     t, i, inside = hit
@@ -103,34 +103,34 @@ def _seen(scene: st.Scene, o: Vector, d: Vector, bounces: int, leaving: tuple | 
     normal = (point - s.center[i]) / s.radius[i] * (-1 if inside else 1)
     m = len(lights)
     color = s.ka[i] * s.color[i] * (lights.color.sum(0) / m if m else 0)
-    for place, tint in zip(lights.position, lights.color, strict=True):
-        to_light = unit(place - point)
+    for light, tint in zip(lights.position, lights.color, strict=True):
+        to_light = unit(light - point)
         cosine = normal @ to_light
-        if cosine > 0 and not any(_blocks(s, k, point, place, i, inside) for k in range(len(s))):
+        if cosine > 0 and not any(_occludes(s, k, point, light, i, inside) for k in range(len(s))):
             mirrored = 2 * cosine * normal - to_light
             shine = max(-(mirrored @ d), 0) ** s.exponent[i]
             color = color + tint * (s.kd[i] * cosine * s.color[i] + s.ks[i] * shine)
     if bounces and s.kgr[i] != 0:
         onward = d - 2 * (d @ normal) * normal
-        color = color + s.kgr[i] * _seen(scene, point, onward, bounces - 1, (i, inside))
+        color = color + s.kgr[i] * _color(scene, point, onward, bounces - 1, (i, inside))
     return color
 
 
-def _nearest(s: st.Spheres, o: Vector, d: Vector, leaving: tuple | None) -> tuple | None:
-    """The nearest sphere: t, its number, and whether it is seen from inside."""
+def _closest_hit(s: st.Spheres, o: Vector, d: Vector, source_hit: tuple | None) -> tuple | None:
+    """Returns the closest sphere: t, its number, and whether the hit is inside."""
     best = None
     for i in range(len(s)):
         roots = sphere_roots(o, d, s.center[i], s.radius[i])
-        if leaving is not None and leaving[0] == i:
-            roots = roots[1:] if leaving[1] else []
+        if source_hit is not None and source_hit[0] == i:
+            roots = roots[1:] if source_hit[1] else []
         ahead = [t for t in roots if t > 0]
         if ahead and (best is None or ahead[0] < best[0]):
             best = ahead[0], i, ahead[0] == roots[-1]
     return best
 
 
-def _blocks(s: st.Spheres, k: int, point: Vector, light: Vector, i: int, inside: bool) -> bool:
-    """Whether sphere k meets the open segment from a point of sphere i to a light."""
+def _occludes(s: st.Spheres, k: int, point: Vector, light: Vector, i: int, inside: bool) -> bool:
+    """Returns whether sphere k meets the open segment from a point of sphere i to a light."""
     roots = sphere_roots(point, light - point, s.center[k], s.radius[k])
     if k == i:  # one root is the point itself
         return inside and roots[-1] < 1

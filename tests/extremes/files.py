@@ -1,7 +1,6 @@
 """Bad files, faults of the machine, half precision.
-
-Files that are broken, disks that are full, interrupts. What is refused is refused in one line that
-says what and where, with exit status 2; a file is written whole, or the old one stays.
+Broken files, full disks, interrupts. An error is one line that names the mistake and its position,
+with exit status 2. A file is written completely, or the old file stays.
 """
 
 import re
@@ -30,7 +29,7 @@ from spheretrace_jax.fit.model.target import make_target
 
 @case(
     "20,000 scene files with words and bytes changed, put in, taken out, cut off",
-    "read to finite numbers that a file keeps to the last bit, or refused in one line with place",
+    "read to finite numbers that a file keeps to the last bit, or refused with line and column",
     slow=True,
 )
 def scenes() -> str:
@@ -46,16 +45,16 @@ def pictures() -> str:
     return str(fuzz_pictures(0, 10_000))
 
 
-def promising(name: str, data: bytes, size: int) -> bytes:
-    """A picture whose header says that it is so many pixels wide and high."""
+def claiming(name: str, data: bytes, size: int) -> bytes:
+    """Changes a picture's header to claim so many pixels of width and height."""
     size16 = struct.pack(">HH", size, size)
     ending = Path(name).suffix
     if ending == ".exr":
         box = rb"(Window\0box2i\0....).{16}"
         return re.sub(box, rb"\1" + struct.pack("<4i", 0, 0, size - 1, size - 1), data, flags=re.S)
     if ending == ".png":
-        signed = b"IHDR" + struct.pack(">II", size, size) + data[24:29]
-        return data[:12] + signed + struct.pack(">I", zlib.crc32(signed)) + data[33:]
+        chunk = b"IHDR" + struct.pack(">II", size, size) + data[24:29]
+        return data[:12] + chunk + struct.pack(">I", zlib.crc32(chunk)) + data[33:]
     if ending == ".jpg":
         return re.sub(rb"(\xff\xc0...)....", lambda m: m[1] + size16, data, count=1, flags=re.S)
     if ending == ".tif":  # tags 256 and 257 of the directory, as numbers of 32 bits
@@ -72,13 +71,13 @@ def promising(name: str, data: bytes, size: int) -> bytes:
 FORMATS = ("a.exr", "a.png", "a.jpg", "a.tif", "a.hdr", "a.ppm")
 
 
-def refused_promises(size: int) -> str:
-    """Reads headers that promise so many pixels along each side."""
+def refused_headers(size: int) -> str:
+    """Asserts that headers which claim so many pixels along each side are refused."""
     with workplace() as folder:
         good = good_pictures(folder)
         before, start = peak(), time.perf_counter()
         for name in FORMATS:
-            (folder / name).write_bytes(promising(name, good[name], size))
+            (folder / name).write_bytes(claiming(name, good[name], size))
             try:
                 st.read_image(folder / name)
             except st.PictureError as error:
@@ -92,30 +91,30 @@ def refused_promises(size: int) -> str:
 
 
 @case(
-    "headers of 6 formats that promise 10⁹ pixels, in files of 1 kB",
+    "headers of 6 formats that claim 10⁹ pixels, in files of 1 kB",
     "refused before memory is taken",
 )
 def headers() -> str:
-    return refused_promises(32_000)
+    return refused_headers(32_000)
 
 
 @case(
     "the same for 2.5·10⁸ pixels, as many as a picture may have",
     "refused before memory is taken, as the files are short",
-    "libjpeg, which makes up what is missing: 36 s and 6 GB",
+    "libjpeg, which invents missing pixels: 36 s and 6 GB",
 )
 def large_headers() -> str:
-    return refused_promises(16_000)
+    return refused_headers(16_000)
 
 
 # --- faults ---------------------------------------------------------------------------------------
 
 
 def start(*words: str, limit: str = "") -> subprocess.Popen:
-    """The program in a process of its own, which says when it is loaded."""
+    """Starts the program in another process, which prints a line when it is loaded."""
     program = (
         f"import resource; {limit}\n"
-        "from spheretrace_jax import cli; print('loaded', flush=True); cli.main()"
+        "from spheretrace_jax.cli import main; print('loaded', flush=True); main.main()"
     )
     child = subprocess.Popen(
         [sys.executable, "-c", program, *words],
@@ -133,7 +132,7 @@ def ended(child: subprocess.Popen) -> tuple[int, str, str]:
 @case(
     "a full disk: render to PNG and EXR, fit, convert, demo",
     "status 2, one line that names the file, the old file stays and no other",
-    "RLIMIT_FSIZE, in processes of their own",
+    "RLIMIT_FSIZE, in other processes",
     slow=True,
 )
 def full_disk() -> str:
@@ -152,7 +151,7 @@ def full_disk() -> str:
 
 
 @case(
-    "a full device, and a closed pipe, for what is printed",
+    "a full device, and a closed pipe, as standard output",
     "status 2 and one line; the file is written",
     "/dev/full",
 )
@@ -173,7 +172,7 @@ def full_output() -> str:
 
 
 @case(
-    "a folder that nobody may write to: all that writes, and reports and demos in it",
+    "a folder without write permission: all commands that write, reports and demos in it",
     "status 2 and one line before anything is computed",
 )
 def read_only_folder() -> str:
@@ -223,7 +222,7 @@ def interrupted() -> str:
                     said = "spheretrace: interrupted\n"
                     assert (status, out, err) == (130, "", said), (k, status, out, err)
                     kept += 1
-                else:  # while it fitted or judged the fit, or while Python came to its end
+                else:  # during the fit, its diagnosis, or the exit of Python
                     assert status in (130, 0, -signal.SIGINT), (k, status, err)
                     assert err in ("", "spheretrace: interrupted\n"), (k, status, err)
                     if words[0] == "fit":

@@ -1,9 +1,9 @@
 """Fits in stiff valleys and to hopeless targets.
 
-Three spheres and a light or two, 48 x 48 pixels, in float64, single rays. Where not said otherwise
-color, ka, kd, ks and the lights' positions are free and start 10 % off, lights some degrees and a
-fifth too far. "Right" is an error of at most 1e-7 in ka color, kd color and ks where the fit says
-that it knows them to 1e-3, and in the lights' directions and inverse distances.
+Three spheres and one or two lights, 48 x 48 pixels, float64, single rays. Free by default: color,
+ka, kd, ks, which start 10 % off, and the lights' positions, some degrees off and a fifth too far.
+"Right" is an error of at most 1e-7 in the lights' directions and inverse distances, and in those of
+ka color, kd color and ks whose standard deviation is below 1e-3.
 """
 
 import equinox as eqx
@@ -21,13 +21,13 @@ IN_FRONT = [[-90.0, 60, 0], [10, -10, 40], [110, -110, 180]]
 RIGHT = "converges and is right"
 
 
-def off(truth: st.Scene, exponent: bool = False) -> st.Scene:
-    """The start: all that is free is wrong."""
+def wrong_start(truth: st.Scene, exponent: bool = False) -> st.Scene:
+    """Returns a start whose free parameters are all wrong."""
     s = truth.spheres
     turn = np.array([[0.995, -0.1, 0], [0.1, 0.995, 0], [0, 0, 1]])
-    places = lambda x: (x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks)
+    materials = lambda x: (x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks)
     wrong = [x * 0.9 for x in (s.color, s.ka, s.kd, s.ks)]
-    start = eqx.tree_at(places, truth, wrong)
+    start = eqx.tree_at(materials, truth, wrong)
     start = eqx.tree_at(lambda x: x.lights.position, start, truth.lights.position @ turn * 1.2)
     if exponent:
         start = eqx.tree_at(lambda x: x.spheres.exponent, start, s.exponent * 1.3)
@@ -35,25 +35,25 @@ def off(truth: st.Scene, exponent: bool = False) -> st.Scene:
 
 
 def fitted(truth: st.Scene, target=None, exponent: bool = False) -> st.Fit:
-    """The fit to a scene's picture, or to another target, from a wrong start."""
+    """Fits a scene's picture, or another target, from a wrong start."""
     target = np.asarray(st.render(truth, bounces=0, **SIZE)) if target is None else target
     free = (*DEFAULT_FREE, *(["exponent"] * exponent))
-    return st.fit(off(truth, exponent), target, free=free, bounces=0)
+    return st.fit(wrong_start(truth, exponent), target, free=free, bounces=0)
 
 
 def product_error(found: st.Fit, truth: st.Scene) -> tuple[float, float]:
-    """The largest error of what the fit says it knows, and which part of all that is."""
+    """Returns the largest error of the products that the fit calls known, and their fraction."""
     worst, known = 0.0, []
     for product in PRODUCTS.values():
-        knows = found.uncertainty.of(product) < 1e-3
+        is_known = found.uncertainty.of(product) < 1e-3
         error = np.abs(np.asarray(product(found.scene) - product(truth)))
-        worst = max(worst, float(np.max(error, where=knows, initial=0)))
-        known.append(knows.reshape(-1))
+        worst = max(worst, float(np.max(error, where=is_known, initial=0)))
+        known.append(is_known.reshape(-1))
     return worst, float(np.concatenate(known).mean())
 
 
 def light_error(found: st.Fit, truth: st.Scene) -> float:
-    """In direction and inverse distance, which is all that a picture tells of what is far."""
+    """Returns the largest error of direction and inverse distance, which far lights determine."""
     worst = 0.0
     for x, y in zip(found.scene.lights.position, truth.lights.position, strict=True):
         lengths = np.linalg.norm(x), np.linalg.norm(y)
@@ -63,7 +63,7 @@ def light_error(found: st.Fit, truth: st.Scene) -> float:
 
 
 def comes_back(tried: str, truth: st.Scene, exponent: bool = False, slow: bool = False) -> Case:
-    """A valley along which the fit finds the scene again."""
+    """Makes a case of a stiff valley along which the fit recovers the scene."""
 
     def check() -> str:
         found = fitted(truth, exponent=exponent)
@@ -99,18 +99,20 @@ VALLEYS = [
 
 
 def says(tried: str, truth: st.Scene, *words: str) -> Case:
-    """Something that the picture does not tell: the fit is right in the rest, and says so."""
+    """Makes a case of undetermined parameters, which the fit names; the others are right."""
 
     def check() -> str:
         found = fitted(truth)
         (error, known), said = product_error(found, truth), str(found.trust).splitlines()
         assert found.trust.ok, found.trust.verdict
-        assert error <= 1e-7, f"what the fit says it knows is off by {error:.1e}"
+        assert error <= 1e-7, f"known products are off by {error:.1e}"
         for sentence in words:
             assert sentence in said, f"{sentence!r} is not in {said}"
         return f"{known:.0%} of the products are known, to {error:.0e}; says: {'; '.join(words)}"
 
-    return Case(tried, "is right in what it says it knows, and says what it cannot know", check)
+    return Case(
+        tried, "what the fit calls known is right, and it names what is not determined", check
+    )
 
 
 ALL_OF_IT = "color, ka, kd and ks not determined"
@@ -158,7 +160,7 @@ def noise() -> np.ndarray:
 
 
 def not_explained(tried: str, target, verdict: str, slow: bool = False) -> Case:
-    """A target that the scene cannot look like."""
+    """Makes a case of a target that no parameters explain."""
 
     def check() -> str:
         found = fitted(TRUTH, target())
@@ -169,7 +171,7 @@ def not_explained(tried: str, target, verdict: str, slow: bool = False) -> Case:
 
 
 def refused(tried: str, target, message: str) -> Case:
-    """A target that is none."""
+    """Makes a case of an invalid target."""
 
     def check() -> str:
         try:
@@ -182,10 +184,10 @@ def refused(tried: str, target, message: str) -> Case:
     return Case(tried, "is refused in one line", check)
 
 
-def spoiled() -> np.ndarray:
-    some = picture().copy()
-    some[3, 4, 1] = np.nan
-    return some
+def with_nan() -> np.ndarray:
+    target = picture().copy()
+    target[3, 4, 1] = np.nan
+    return target
 
 
 NOT, NOTHING = "does NOT explain picture", "NO more of the picture than it would of noise"
@@ -201,7 +203,7 @@ TARGETS = [
     not_explained("a picture in noise of 10", lambda: picture() + 10 * noise(), NOTHING),
     refused("a target that is 1 everywhere", lambda: np.ones(SHAPE), "is clipped"),
     refused("a target of nan", lambda: np.full(SHAPE, np.nan), "6912 numbers that are nan or inf"),
-    refused("a target with one nan", spoiled, "1 numbers that are nan or inf"),
+    refused("a target with one nan", with_nan, "1 numbers that are nan or inf"),
     refused("a target of inf", lambda: np.full(SHAPE, np.inf), "6912 numbers that are nan or inf"),
     refused("a target without colours", lambda: np.zeros((48, 48)), "(height, width, 3)"),
     refused("a target with alpha", lambda: np.zeros((48, 48, 4)), "(height, width, 3)"),
@@ -210,7 +212,10 @@ TARGETS = [
 ]  # fmt: skip
 
 
-@case("a target that is 0 everywhere", "the scene is black, and says what that leaves open")
+@case(
+    "a target that is 0 everywhere",
+    "the scene becomes black, and the fit names what is not determined",
+)
 def black_target() -> str:
     found = fitted(TRUTH, np.zeros(SHAPE))
     assert found.trust.ok, found.trust.verdict

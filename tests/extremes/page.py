@@ -12,13 +12,14 @@ PAGE = TESTS.parent / "docs" / "extremes.md"
 
 HEAD = """# What happens at the extremes
 
-Every line is a test (`tests/test_extremes.py`); `make extremes` runs them all and writes this page.
-What must hold is stated beside what was measured. ulp: units in the last place of the number.
+Every line is a test (`tests/test_extremes.py`); `make extremes` runs them and writes this page.
+A line gives the extreme input, the promise that must hold, and the measurement. ulp: a unit in the
+last place of a number. eps: the relative distance of neighbouring numbers of a type.
 """
 
 
 def table(module: ModuleType) -> tuple[str, bool]:
-    """One part of the catalogue as Markdown, and whether all its promises hold."""
+    """Writes a part of the catalogue as Markdown; also returns whether all its promises hold."""
     from extremes.case import cases
 
     title, _, about = (module.__doc__ or "").partition("\n")

@@ -9,7 +9,7 @@ import numpy as np
 
 import spheretrace_jax as st
 from extremes.case import Case, case
-from extremes.draw import PIXELS, SIDE, Extreme, picture_case, three
+from extremes.pictures import PIXELS, SIDE, Extreme, picture_case, three
 from spheretrace_jax.base.vec import dot, unit, vec
 from spheretrace_jax.tracing.shading import blinn, light_terms
 from spheretrace_jax.tracing.tables import Surface
@@ -20,7 +20,7 @@ EYE = (0.0, 0, 500)
 
 
 def ahead(*lights, **changes) -> st.Scene:
-    """A sphere in the middle and two beside it, seen along the z axis."""
+    """Makes a sphere in the middle and two next to it, seen along the z axis."""
     return three(lights, AHEAD, **(BALL | changes))
 
 
@@ -112,12 +112,12 @@ def right_angle() -> str:
 
 
 def nothing_case(tried: str, promise: str, spheres: int, lights: int, middle: tuple) -> Case:
-    """So many spheres, all in the middle, and so many lights."""
+    """Makes a case of a number of spheres, all in the middle, and a number of lights."""
 
     def check() -> str:
         balls = st.Spheres(np.zeros((spheres, 3)), np.full(spheres, 100.0), ka=1.0)
-        places = st.Lights(np.full((lights, 3), 500.0))
-        scene = st.Scene(balls, places, background=(0.1, 0.2, 0.3)).astype(np.float32)
+        lamps = st.Lights(np.full((lights, 3), 500.0))
+        scene = st.Scene(balls, lamps, background=(0.1, 0.2, 0.3)).astype(np.float32)
         needs = st.needs(scene)
         draw = lambda scene: st.render(scene, needs=needs, **PIXELS)
         weighted = jax.jit(jax.grad(lambda s: (jnp.sum(draw(s)), draw(s)), has_aux=True))

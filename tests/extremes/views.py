@@ -1,6 +1,6 @@
 """Views at their limits.
-Pictures as in the part on shading, of angles and lengths as float32 rounds them: of a theta of
-2 pi 1e6 it keeps no more than a half.
+Pictures as for shading, of angles and lengths that are rounded to float32: the rounding error of a
+theta of 2 pi 1e6 is up to a quarter.
 """
 
 import jax
@@ -9,8 +9,8 @@ import numpy as np
 
 import spheretrace_jax as st
 from extremes.case import Case, case
-from extremes.draw import Extreme, drawn, picture_case, three
 from extremes.exact import exact, pixel, to_float
+from extremes.pictures import Extreme, drawn, picture_case, three
 
 ROOM = dict(
     lights=((-50.0, -50, 100), (0, 0, -150)),
@@ -21,12 +21,12 @@ WRAPPED = 0.3 + 2e6 * np.pi
 
 
 def fov(degrees: float) -> float:
-    """The distance of a window of 300 units with this angle of view from top to bottom."""
+    """Returns the distance of a window 300 units high with this vertical angle of view."""
     return 150 / np.tan(np.deg2rad(degrees) / 2)
 
 
 def view(*camera: float, **digits: float) -> Extreme:
-    """**Arguments:** of `Camera`, and of `Extreme`."""
+    """Makes a scene. **Arguments:** of `Camera`, and of `Extreme`."""
     return Extreme(three(camera=st.Camera(*camera)), **digits)
 
 
@@ -54,11 +54,11 @@ def wrapped() -> str:
     pictures = [drawn(view(theta, 0.4, 500.0, 900.0, 300.0).scene)[1] for theta in (0.3, WRAPPED)]
     off = np.abs(pictures[0] - pictures[1]).max()
     assert off < 1e-8
-    return f"{off:.1g}; float64 knows such an angle to {np.spacing(WRAPPED) / 2:.1g}"
+    return f"{off:.1g}; float64 rounds such an angle by {np.spacing(WRAPPED) / 2:.1g}"
 
 
 def strip_case(width: int, height: int) -> Case:
-    """A picture of one column or row, or of one pixel, against some exact pixels."""
+    """Makes a case: a picture of one column, row or pixel is compared with exact pixels."""
 
     def check() -> str:
         size, longest = (width, height), max(width, height)
@@ -74,17 +74,17 @@ def strip_case(width: int, height: int) -> Case:
 
         seen, slopes = draw(scene)
         assert all(np.isfinite(x).all() for x in jax.tree.leaves(slopes))
-        places = [(k, 0) if width > 1 else (0, k) for k in range(0, longest, 256)]
-        true = np.array([to_float(pixel(exact(scene), *place, size)) for place in places])
-        found = np.array([seen[row, column] for column, row in places])
+        pixels = [(k, 0) if width > 1 else (0, k) for k in range(0, longest, 256)]
+        true = np.array([to_float(pixel(exact(scene), *at, size)) for at in pixels])
+        found = np.array([seen[row, column] for column, row in pixels])
         assert len(np.unique(true[:, 0])) > min(4, longest - 1)
         off = np.abs(found - true).max() / true.max() / np.finfo(np.float32).eps
         assert off <= 50, off
         return f"{off:.2g} eps"
 
-    some = "the pixel" if width == height else "each 256th pixel"
-    promise = f"{some} to 50 eps in float32; finite derivatives"
-    slow = width > height  # the others do as well, and each has to be compiled
+    compared = "the pixel" if width == height else "each 256th pixel"
+    promise = f"{compared} to 50 eps in float32; finite derivatives"
+    slow = width > height  # the other shapes suffice, and each is compiled
     return Case(f"a picture of {width}x{height} pixels", promise, check, slow=slow)
 
 

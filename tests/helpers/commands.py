@@ -1,4 +1,4 @@
-"""The program, run in this process or in one of its own, and the files it leaves."""
+"""The command line, run in this process or in another, and the files that it leaves."""
 
 import contextlib
 import io
@@ -29,7 +29,7 @@ TEXT = """\
 """
 FIT = ("fit", "start.txt", "target.exr", "-o", "fitted.txt", "--dtype", "float64")
 
-#: Every command that writes, and the files that it writes.
+#: Every command that writes, with its files.
 WRITING = {
     "render png": (("render", "scene.txt", "-o", "out.png", "--size", "32x24"), ["out.png"]),
     "render exr": (("render", "scene.txt", "-o", "out.exr", "--size", "32x24"), ["out.exr"]),
@@ -52,7 +52,7 @@ def fill(folder: Path) -> None:
 
 @contextlib.contextmanager
 def workplace() -> Iterator[Path]:
-    """The present folder, for a while: a new one with these files, that everybody may read."""
+    """Changes to a new folder with these files, which every user may read."""
     with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
         Path(name).chmod(0o755)
         fill(Path(name))
@@ -79,12 +79,12 @@ def spheretrace(*words: object) -> tuple[int, str, str]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """What is in a folder, and in those within it."""
+    """Returns the contents of all files in a folder and its folders."""
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
 def python(*words: str, folder: Path) -> subprocess.CompletedProcess:
-    """Runs Python in a process of its own."""
+    """Runs Python in another process."""
     environment = os.environ | {"JAX_PLATFORMS": "cpu"}
     return subprocess.run(
         [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True
@@ -93,7 +93,7 @@ def python(*words: str, folder: Path) -> subprocess.CompletedProcess:
 
 @contextlib.contextmanager
 def disk_full(size: int = 128) -> Iterator[None]:
-    """No file grows beyond some bytes, as if there were no more room."""
+    """Limits the size of files, in bytes, as a full disk would."""
     import resource
 
     limit = resource.RLIMIT_FSIZE
@@ -107,7 +107,7 @@ def disk_full(size: int = 128) -> Iterator[None]:
 
 @contextlib.contextmanager
 def read_only(folder: Path) -> Iterator[None]:
-    """Nobody may write to a folder, and root is nobody for the while."""
+    """Protects a folder from writing; root runs as another user meanwhile."""
     folder.chmod(0o555)
     root = os.geteuid() == 0
     try:

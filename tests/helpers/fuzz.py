@@ -1,7 +1,8 @@
-"""Broken scene files and pictures, and what must hold of all of them.
+"""Fuzzing: broken scene files and pictures, and the promises that hold for all of them.
 
-Each is read, or refused in one line that says where; nothing else is raised, nothing hangs, and no
-memory is taken for what a header only promises. Case n is the same in every run.
+Each file is read, or refused in one line with the position of the mistake. No other error is
+raised, no file hangs, and a header that only promises pixels takes no memory. Case n is the same in
+every run.
 """
 
 import dataclasses
@@ -24,17 +25,17 @@ import jax
 import numpy as np
 import OpenImageIO as oiio
 from helpers.scenes import assert_same
-from hypothesis import HealthCheck, given, settings, strategies as some
+from hypothesis import HealthCheck, given, settings, strategies as strategy
 
 import spheretrace_jax as st
 
-SECONDS, MEGABYTES = 10, 1000  # the most that a file may take
+SECONDS, MEGABYTES = 10, 1000  # limits of one file and of all files together
 
 # --- scenes ---------------------------------------------------------------------------------------
 
 TEXTURES = ("a.exr", "two words.exr")
 
-#: Every line that a scene file may have, and the lecture's own.
+#: Scene files: all kinds of lines, the lecture's file, and an empty scene.
 SCENES = {
     "every line": """\
 0.1 1.5 500 800 // theta phi mu distance
@@ -65,23 +66,26 @@ _WORDS = [
     *('"', '""', '"two words.exr"', '"two', "a.exr", ".", "..", "/", "//", "x" * 300),
     *("\ufeff", "\u2028", "\x0b", "\x85", "\x9b31m", "\u202e", "é", "\n", "\r", "\t", " ", "\0"),
 ]
-_words = some.sampled_from(_WORDS) | some.floats().map(str) | some.text(max_size=6)
+_words = strategy.sampled_from(_WORDS) | strategy.floats().map(str) | strategy.text(max_size=6)
 
 
-@some.composite
+@strategy.composite
 def broken_scenes(draw) -> bytes:
-    """A scene file with some words, and then some bytes, changed."""
-    words = re.findall(r"\s+|\S+", SCENES[draw(some.sampled_from(sorted(SCENES)))])
-    for _ in range(draw(some.integers(0, 3))):
-        k, word = draw(some.integers(0, len(words) - 1)), draw(_words | some.sampled_from(words))
+    """Draws a scene file with changed words, then changed bytes."""
+    words = re.findall(r"\s+|\S+", SCENES[draw(strategy.sampled_from(sorted(SCENES)))])
+    for _ in range(draw(strategy.integers(0, 3))):
+        k, word = (
+            draw(strategy.integers(0, len(words) - 1)),
+            draw(_words | strategy.sampled_from(words)),
+        )
         edits = ([word], [words[k], word], [], [words[k]] * 2, words[k : k + 3][::-1])
-        words[k : k + 1] = draw(some.sampled_from(edits))
+        words[k : k + 1] = draw(strategy.sampled_from(edits))
         words = words or [""]
     data = bytearray("".join(words).encode())
-    for _ in range(draw(some.integers(0, 2))):
-        k, byte = draw(some.integers(0, len(data))), draw(some.integers(0, 255))
-        gone = draw(some.sampled_from([0, 1, 1, 5, len(data)]))
-        data[k : k + gone] = draw(some.sampled_from([b"", bytes([byte]), bytes([byte]) * 5]))
+    for _ in range(draw(strategy.integers(0, 2))):
+        k, byte = draw(strategy.integers(0, len(data))), draw(strategy.integers(0, 255))
+        deleted = draw(strategy.sampled_from([0, 1, 1, 5, len(data)]))
+        data[k : k + deleted] = draw(strategy.sampled_from([b"", bytes([byte]), bytes([byte]) * 5]))
     return bytes(data)
 
 
@@ -96,20 +100,22 @@ def fuzz_scenes(count: int) -> "Tally":
             max_examples=count, deadline=None, derandomize=True, database=None,
             suppress_health_check=list(HealthCheck),
         )  # fmt: skip
-        @given(data=broken_scenes(), dtype=some.sampled_from([np.float32, np.float64]))
+        @given(data=broken_scenes(), dtype=strategy.sampled_from([np.float32, np.float64]))
         def check(data: bytes, dtype: type) -> None:
             file = Path(name) / "scene.txt"
             file.write_bytes(data)
             with tally.one():
-                scene = said = None
+                scene = message = None
                 try:
                     scene = st.load_scene(file, dtype)
                 except st.SceneError as error:
-                    said = str(error)
+                    message = str(error)
             tally.count(scene is not None)
             if scene is None:
-                place = rf"{re.escape(str(file))}:[1-9]\d*:[1-9]\d*: "
-                assert re.match(place, said) and said.isprintable() and len(said) < 1000, said
+                position = rf"{re.escape(str(file))}:[1-9]\d*:[1-9]\d*: "
+                assert (
+                    re.match(position, message) and message.isprintable() and len(message) < 1000
+                ), message
             else:
                 is_sane(scene, Path(name) / "again.txt")
 
@@ -126,7 +132,7 @@ def _late(*_) -> None:
 
 
 def is_sane(scene: st.Scene, file: Path) -> None:
-    """All numbers are finite, and a file keeps every bit."""
+    """Asserts that all numbers are finite and that a file keeps every bit."""
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(scene))
     st.save_scene(file, scene)
     assert_same(st.load_scene(file, scene.dtype), scene)
@@ -134,7 +140,7 @@ def is_sane(scene: st.Scene, file: Path) -> None:
 
 # --- pictures -------------------------------------------------------------------------------------
 
-# what write_image writes, and more of what read_image reads
+# formats of write_image with their bits, and formats that only read_image knows
 _OURS = {"a.png": 8, "b.png": 16, "a.exr": 32, "b.exr": 16, "a.hdr": 32, "a.ppm": 8, "b.ppm": 16,
          "a.tif": 8, "b.tif": 32, "a.jpg": 8}  # fmt: skip
 _OTHERS = ("a.bmp", "a.tga", "a.webp", "a.sgi", "a.ico")
@@ -142,7 +148,7 @@ _SIZES = [0, 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 16_000, 32_000]
 
 
 def good_pictures(folder: Path) -> dict[str, bytes]:
-    """Small pictures in many formats, written to a folder."""
+    """Writes small pictures in many formats to a folder and returns their bytes."""
     image = np.random.default_rng(0).uniform(0, 1, (6, 5, 3)).astype(np.float32)
     for name, bits in _OURS.items():
         text = SCENES["nothing"] if name.startswith("a") else None
@@ -155,7 +161,7 @@ def good_pictures(folder: Path) -> dict[str, bytes]:
 
 
 def broken_picture(good: dict[str, bytes], case: int) -> tuple[str, bytes]:
-    """A picture with some bytes changed, more often in its header, and its file's name."""
+    """Returns a file's name and its picture with changed bytes, more often in the header."""
     draw = random.Random(case)
     name = draw.choice(sorted(good))
     data = bytearray(good[name])
@@ -163,7 +169,7 @@ def broken_picture(good: dict[str, bytes], case: int) -> tuple[str, bytes]:
     for _ in range(draw.choice([1, 1, 2, 4, 16])):
         k = draw.randrange(max(1, min(within, len(data))))
         size = draw.choice(_SIZES)
-        gone, new = draw.choice(
+        deleted, new = draw.choice(
             [
                 (1, bytes([draw.randrange(256)])),
                 (1, bytes([draw.choice([0, 1, 0x7F, 0x80, 0xFF])])),
@@ -174,28 +180,28 @@ def broken_picture(good: dict[str, bytes], case: int) -> tuple[str, bytes]:
                 (len(data), b""),
             ]
         )
-        data[k : k + gone] = new
+        data[k : k + deleted] = new
     if name.endswith(".png") and draw.random() < 0.7:
         data = _signed(data)
     return name, bytes(data)
 
 
 def _signed(data: bytearray) -> bytearray:
-    """A PNG file with the checksums of its chunks made right, or none would be looked into."""
-    place = 8
-    while place + 12 <= len(data):
-        (size,) = struct.unpack_from(">I", data, place)
-        if place + 12 + size > len(data):
+    """Corrects the checksums of a PNG file's chunks, without which no reader looks into them."""
+    offset = 8
+    while offset + 12 <= len(data):
+        (size,) = struct.unpack_from(">I", data, offset)
+        if offset + 12 + size > len(data):
             break
         struct.pack_into(
-            ">I", data, place + 8 + size, zlib.crc32(data[place + 4 : place + 8 + size])
+            ">I", data, offset + 8 + size, zlib.crc32(data[offset + 4 : offset + 8 + size])
         )
-        place += 12 + size
+        offset += 12 + size
     return data
 
 
 def fuzz_pictures(first: int, count: int) -> "Tally":
-    """Reads broken pictures in a process of its own, which a library's crash would end."""
+    """Reads broken pictures in another process, which a crash of a library would end."""
     done = subprocess.run(
         [sys.executable, "-m", "helpers.fuzz", str(first), str(count)],
         cwd=Path(__file__).parents[1],
@@ -213,24 +219,24 @@ def _read_pictures(first: int, count: int) -> None:
         folder = Path(name)
         good = good_pictures(folder)
         for file in good:
-            st.read_image(folder / file)  # what is loaded on the first use does not count
+            st.read_image(folder / file)  # libraries that are loaded on first use do not count
         tally = Tally()
         for case in range(first, first + count):
             file, data = broken_picture(good, case)
             print(case, file, flush=True)
             (folder / file).write_bytes(data)
             with tally.one():
-                said = None
+                message = None
                 try:
                     image = st.read_image(folder / file)
                 except st.PictureError as error:
-                    said = str(error)
-            tally.count(said is None)
-            if said is None:
+                    message = str(error)
+            tally.count(message is None)
+            if message is None:
                 assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.float32
             else:
-                assert said.startswith(f"{folder / file}: ") and said.isprintable(), said
-                assert len(said) < 1000, said
+                assert message.startswith(f"{folder / file}: ") and message.isprintable(), message
+                assert len(message) < 1000, message
     print(json.dumps(dataclasses.asdict(tally)))
 
 
@@ -238,13 +244,13 @@ def _read_pictures(first: int, count: int) -> None:
 
 
 def peak() -> int:
-    """The most memory that this process ever held, in MB."""
+    """Returns the most memory that this process ever held, in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
 @dataclasses.dataclass
 class Tally:
-    """What became of so many files."""
+    """The results of reading many files."""
 
     read: int = 0
     refused: int = 0
@@ -253,7 +259,7 @@ class Tally:
 
     @contextmanager
     def one(self) -> Iterator[None]:
-        """One file is read within the limits."""
+        """Measures the reading of one file and asserts its limits."""
         start, before = time.perf_counter(), peak()
         signal.alarm(SECONDS)
         try:

@@ -16,7 +16,7 @@ def _texture(seed: int) -> st.Texture:
 
 
 def _spheres(**changes) -> st.Spheres:
-    parts = dict(
+    columns = dict(
         center=[[-60.0, -30, 0], [50, 40, -40], [10, -20, 90]],
         radius=[60.0, 70, 25],
         color=[[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
@@ -25,11 +25,11 @@ def _spheres(**changes) -> st.Spheres:
         ks=[0.4, 0.2, 0.5],
         exponent=[5.0, 20, 2],
     )
-    return st.Spheres(**(parts | changes))
+    return st.Spheres(**(columns | changes))
 
 
 _EMPTY = st.Scene(st.Spheres(np.zeros((0, 3)), np.zeros(0)), st.Lights(np.zeros((0, 3))))
-#: What coloured objects in ambient light need.
+#: Needs of coloured objects in ambient light.
 FLAT = dataclasses.replace(st.needs(_EMPTY), colors=True, depth=None)
 
 WHITE = [[300.0, 350, 400]]
@@ -77,8 +77,8 @@ SCENES = {
 
 
 def three_apart(*lights, **changes) -> st.Scene:
-    """Three matt and shiny spheres side by side, seen along -z."""
-    parts = dict(
+    """Makes three matt and shiny spheres side by side, seen along -z."""
+    columns = dict(
         center=[[-90.0, 60, 0], [80, 70, 60], [10, -90, -40]],
         radius=[80.0, 60, 90],
         color=[[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
@@ -88,18 +88,18 @@ def three_apart(*lights, **changes) -> st.Scene:
         exponent=[5.0, 60, 20],
     )
     lights = st.Lights(np.reshape(lights, (-1, 3)).astype(float))
-    return st.Scene(st.Spheres(**(parts | changes)), lights, st.Camera(0.0, 0.0, 1200.0, 1200.0))
+    return st.Scene(st.Spheres(**(columns | changes)), lights, st.Camera(0.0, 0.0, 1200.0, 1200.0))
 
 
 def nine_spheres(light=(100.0, 900.0, 300.0), dtype=np.float64) -> st.Scene:
-    """The lecture's scene, not antialiased; by default with a light that casts shadows."""
+    """Loads the lecture's scene, not antialiased, by default with a light that casts shadows."""
     scene = st.load_scene(Path(__file__).parents[2] / "data" / "nine_spheres.txt", dtype)
     scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray([light], dtype))
     return scene.with_antialias(0)
 
 
 def three_spheres(antialias: int = 0) -> st.Scene:
-    """Two spheres over a large one, with shadows."""
+    """Makes two spheres over a large one, with shadows."""
     spheres = st.Spheres(
         [[-30.0, 10, 0], [40, -20, 60], [0, 0, -1100]],
         [60.0, 45, 1000],
@@ -111,7 +111,7 @@ def three_spheres(antialias: int = 0) -> st.Scene:
 
 
 def assert_same(a: st.Scene, b: st.Scene) -> None:
-    """Equal in every bit, -0 and subnormal numbers too, and in what is static."""
+    """Asserts equality in every bit, also of -0 and subnormal numbers, and of static fields."""
     (a_arrays, a_static), (b_arrays, b_static) = (
         eqx.partition(a, eqx.is_array),
         eqx.partition(b, eqx.is_array),

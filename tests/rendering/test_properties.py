@@ -1,4 +1,4 @@
-"""What holds for every scene, tried on random ones of one shape, which share a compilation."""
+"""Properties of every picture, tried on random scenes of one shape, which share a compilation."""
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ several = settings(max_examples=25, deadline=None, derandomize=True)
 
 
 def random_scene(seed: int, dtype=np.float64) -> st.Scene:
-    """Overlapping spheres, also around the eye and around lights, a checkered table, mirrors."""
+    """Makes overlapping spheres, also around the eye and lights, a checkered table, mirrors."""
     rng = np.random.default_rng(seed)
     unit = lambda *shape: rng.uniform(0, 1, shape)
     zero_or = lambda x: x * (rng.uniform(size=x.shape) > 0.4)
@@ -50,7 +50,7 @@ def gradient(scene: st.Scene, weights):
 @pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 @several
 @given(seed=seeds)
-def test_pictures_and_gradients_are_finite(dtype, seed):
+def test_finite_pictures_and_gradients(dtype, seed):
     scene = random_scene(seed, dtype)
     picture = draw(scene)
     assert np.isfinite(picture).all() and (picture >= 0).all()
@@ -60,7 +60,7 @@ def test_pictures_and_gradients_are_finite(dtype, seed):
 
 @several
 @given(seed=seeds, which=strategy.integers(0, LIGHTS - 1))
-def test_adding_light_never_darkens(seed, which):
+def test_more_light_never_darkens(seed, which):
     scene = random_scene(seed)
     dimmed = eqx.tree_at(lambda s: s.lights.color, scene, scene.lights.color.at[which].set(0.0))
     assert (draw(scene) >= draw(dimmed) - 1e-12).all()
@@ -68,7 +68,7 @@ def test_adding_light_never_darkens(seed, which):
 
 @several
 @given(seed=seeds)
-def test_the_order_of_the_spheres_does_not_matter(seed):
+def test_order_of_spheres_does_not_matter(seed):
     scene = random_scene(seed)
     order = np.random.default_rng(seed).permutation(SPHERES)
     shuffled = jax.tree.map(lambda x: x[order], scene.spheres)
@@ -79,7 +79,7 @@ def test_the_order_of_the_spheres_does_not_matter(seed):
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 @several
 @given(seed=seeds)
-def test_the_unit_of_length_does_not_matter(factor, seed):
+def test_unit_of_length_does_not_matter(factor, seed):
     # in float32; the view plane's distance and window only set the angle of view
     scene = random_scene(seed, np.float32)
     lengths = lambda s: (

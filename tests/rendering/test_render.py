@@ -1,3 +1,5 @@
+"""Rendering: closed forms, features one by one, memory, compilation and arguments."""
+
 import dataclasses
 import sys
 
@@ -15,19 +17,19 @@ module = sys.modules["spheretrace_jax.rendering.render"]
 SMALL = dict(width=24, height=24)
 
 
-def ball(**changes) -> st.Spheres:
+def sphere(**changes) -> st.Spheres:
     return st.Spheres([[0.0, 0, 0]], [100.0], **changes)
 
 
 def middle(picture) -> np.ndarray:
-    """The pixel that looks at the origin."""
+    """Returns the pixel that looks at the origin."""
     height, width, _ = picture.shape
     return np.asarray(picture[height // 2, width // 2])
 
 
-def test_a_ball_lit_from_the_eye_has_its_closed_form():
+def test_sphere_lit_from_the_eye():
     # straight ahead N.L = R.V = 1, the ambient light is the light's colour
-    spheres = ball(color=(0.5, 0.4, 0.3), ka=0.2, kd=0.6, ks=0.3, exponent=7.0)
+    spheres = sphere(color=(0.5, 0.4, 0.3), ka=0.2, kd=0.6, ks=0.3, exponent=7.0)
     scene = st.Scene(spheres, st.Lights([[0.0, 0, 500]], [[1.0, 0.5, 0.25]]), st.Camera())
     light, color = np.array([1, 0.5, 0.25]), np.array([0.5, 0.4, 0.3])
     expected = 0.2 * light * color + light * (0.6 * color + 0.3)
@@ -36,12 +38,12 @@ def test_a_ball_lit_from_the_eye_has_its_closed_form():
         np.testing.assert_allclose(middle(picture), expected, rtol=1e-14)
 
 
-def test_a_grey_room_under_ambient_light_alone_is_its_ambient_colour_everywhere():
-    scene = st.Scene(ball(ka=0.3, kd=0.0), st.Lights([[1e3, 0, 0]]), st.Camera(mu=0.0))
+def test_ambient_room():
+    scene = st.Scene(sphere(ka=0.3, kd=0.0), st.Lights([[1e3, 0, 0]]), st.Camera(mu=0.0))
     np.testing.assert_allclose(st.render(scene, **SMALL), 0.3 * 0.5, rtol=1e-15)
 
 
-def test_the_floor_has_lamberts_closed_form():
+def test_floor_has_lamberts_closed_form():
     floor = st.Planes([[0.0, 0, 0]], [[0.0, 0, 1]], (1.0, 1, 1), ka=0.0, kd=1.0)
     no_spheres = st.Spheres(np.zeros((0, 3)), np.zeros(0))
     scene = st.Scene(no_spheres, st.Lights([[0.0, 0, 100]]), st.Camera(), floor)
@@ -51,15 +53,15 @@ def test_the_floor_has_lamberts_closed_form():
     np.testing.assert_allclose(picture, 100 / distance, rtol=1e-13)
 
 
-def test_ambient_is_the_average_of_the_lights_and_without_lights_all_is_black():
-    ambient = ball(color=(1.0, 1, 1), ka=1.0, kd=0.0)
+def test_ambient_is_the_mean_light():
+    ambient = sphere(color=(1.0, 1, 1), ka=1.0, kd=0.0)
     two = st.Lights([[9.0, 9, 999], [-9, 9, 999]], [[1.0, 0, 0.5], [0.0, 1, 0.5]])
     np.testing.assert_allclose(middle(st.render(st.Scene(ambient, two), **SMALL)), 0.5)
     none = st.Lights(np.zeros((0, 3)))
     assert not st.render(st.Scene(ambient, none), **SMALL).any()
 
 
-def test_an_empty_world_shows_its_background():
+def test_empty_scene_shows_its_background():
     empty = st.Spheres(np.zeros((0, 3)), np.zeros(0))
     scene = st.Scene(empty, st.Lights([[0.0, 0, 9]]), background=(0.1, 0.2, 0.3))
     for needs in (None, st.Needs()):
@@ -67,16 +69,16 @@ def test_an_empty_world_shows_its_background():
         np.testing.assert_array_equal(picture, np.broadcast_to([0.1, 0.2, 0.3], (24, 24, 3)))
 
 
-def test_the_nine_spheres_cast_shadows_only_when_the_light_is_moved():
+def test_shadows_of_nine_spheres():
     for light, shadows in (((100.0, 500, 800), False), ((100.0, 900, 300), True)):
         scene = nine_spheres(light)
         with_shadows = st.render(scene, bounces=0, width=64, height=64)
-        without = dataclasses.replace(FLAT, highlights=True)
-        picture = st.render(scene, needs=without, width=64, height=64)
+        no_shadows = dataclasses.replace(FLAT, highlights=True)
+        picture = st.render(scene, needs=no_shadows, width=64, height=64)
         assert bool(jnp.any(picture != with_shadows)) is shadows
 
 
-def test_hall_of_mirrors_reflects_as_often_as_asked():
+def test_hall_of_mirrors():
     # between two facing mirrors of kgr 1 and ambient colour 1 every bounce adds 1
     mirrors = st.Planes(
         [[0.0, 0, -100], [0, 0, 600]], [[0.0, 0, 1]] * 2, (1.0, 1, 1), 1.0, 0.0, kgr=1.0
@@ -88,14 +90,14 @@ def test_hall_of_mirrors_reflects_as_often_as_asked():
         np.testing.assert_allclose(middle(picture), 1 + bounces, rtol=1e-12)
 
 
-def test_a_bubble_adds_what_is_behind_it():
+def test_bubble_adds_the_color_behind_it():
     spheres = st.Spheres([[0.0, 0, 0], [0, 0, -300]], 100.0, (1.0, 1, 1), 0.25, 0.0, kt=[0.5, 0.0])
     scene = st.Scene(spheres, st.Lights([[0.0, 0, 900]]))
     np.testing.assert_allclose(middle(st.render(scene, **SMALL)), 0.25 + 0.5 * 0.25)
     assert middle(st.render(scene, bounces=0, **SMALL))[0] == 0.25
 
 
-def test_the_back_plane_hides_what_is_beyond_it():
+def test_back_plane_hides_objects_beyond_it():
     spheres = st.Spheres([[0.0, 0, -900]], [100.0], (1.0, 0, 0))
     back = st.BackPlane((0.0, 0, 1), 1.0, 0.0)
     scene = st.Scene(spheres, st.Lights([[0.0, 0, 900]]), back_plane=back)
@@ -103,7 +105,7 @@ def test_the_back_plane_hides_what_is_beyond_it():
 
 
 @pytest.mark.parametrize("name", ["shadows", "glass", "planes", "textures"])
-def test_samples_are_the_average_of_a_finer_picture(name):
+def test_samples_are_the_mean_of_a_finer_picture(name):
     scene = SCENES[name]
     fine = st.render(scene, width=24, height=24, samples=1, bounces=2)
     coarse = st.render(scene, width=12, height=12, samples=2, bounces=2)
@@ -111,7 +113,7 @@ def test_samples_are_the_average_of_a_finer_picture(name):
 
 
 @pytest.mark.slow
-def test_antialias_1_is_nearer_to_many_samples_than_as_many_rays():
+def test_antialias_1_against_samples():
     scene = SCENES["shadows"]
     smooth = scene.with_antialias(1)
     size = dict(width=48, height=48)
@@ -122,17 +124,17 @@ def test_antialias_1_is_nearer_to_many_samples_than_as_many_rays():
 
 def test_strips_leave_no_seams(monkeypatch):
     scene, size = SCENES["planes"], dict(width=23, height=19, bounces=1)
-    whole = st.render(scene, **size)
+    one_strip = st.render(scene, **size)
     monkeypatch.setattr(module, "STRIP_PIXELS", 100)
-    pieces = eqx.filter_jit(module.draw.__wrapped__)(scene, module.render_settings(scene, **size))
-    np.testing.assert_allclose(pieces, whole, atol=1e-14)
+    strips = eqx.filter_jit(module.draw.__wrapped__)(scene, module.render_settings(scene, **size))
+    np.testing.assert_allclose(strips, one_strip, atol=1e-14)
 
 
 @pytest.mark.parametrize(
     ("side", "antialias", "most"),
     [(1024, 0, 32e6), (4096, 0, 32e6), pytest.param(4096, 1, 1.5e9, marks=pytest.mark.slow)],
 )
-def test_large_pictures_are_drawn_in_strips_of_bounded_memory(side, antialias, most):
+def test_memory_of_large_pictures(side, antialias, most):
     scene = SCENES["shadows"].astype(jnp.float32).with_antialias(antialias)
     needs = st.needs(scene)
     draw = jax.jit(lambda s: st.render(s, width=side, height=side, needs=needs))
@@ -141,7 +143,7 @@ def test_large_pictures_are_drawn_in_strips_of_bounded_memory(side, antialias, m
     assert used.output_size_in_bytes == side * side * 3 * 4
 
 
-def test_many_lights_and_many_spheres_loop_to_the_same_picture():
+def test_many_lights_and_spheres():
     rng = np.random.default_rng(0)
     spheres, few = SCENES["shadows"].spheres, st.Lights(rng.uniform(200, 500, (3, 3)))
     unlit = np.zeros((9, 3))
@@ -165,7 +167,7 @@ def test_many_lights_and_many_spheres_loop_to_the_same_picture():
 
 
 @pytest.mark.parametrize("count", [pytest.param(128, marks=pytest.mark.slow), 300])
-def test_objects_are_numbered_without_overflow(count):
+def test_ids_do_not_overflow(count):
     behind = np.arange(count)[::-1]  # the last sphere is in the middle of the picture
     center = np.stack([30.0 * (behind % 10), 30.0 * (behind // 10), 0 * behind], axis=1)
     scene = st.Scene(st.Spheres(center, 10.0, pic=0), st.Lights([[0.0, 0, 900]]))
@@ -179,7 +181,7 @@ def test_objects_are_numbered_without_overflow(count):
     assert 0 < np.count_nonzero(last.max(-1)) < 64
 
 
-def test_new_numbers_never_compile_again(monkeypatch):
+def test_new_numbers_do_not_compile_again(monkeypatch):
     traced = []
     inner = module.build_tables
     monkeypatch.setattr(module, "build_tables", lambda scene: traced.append(1) or inner(scene))
@@ -190,7 +192,7 @@ def test_new_numbers_never_compile_again(monkeypatch):
     assert len(traced) == 1
 
 
-def test_it_works_under_jit_and_vmap_with_needs():
+def test_jit_and_vmap():
     scene = SCENES["planes"]
     needs = st.needs(scene)
     draw = lambda s: st.render(s, needs=needs, bounces=1, **SMALL)
@@ -213,6 +215,6 @@ def test_it_works_under_jit_and_vmap_with_needs():
         (dict(bounces=17), "bounces must be at most 16, got 17"),
     ],
 )
-def test_arguments_out_of_range_are_refused(wrong, message):
+def test_arguments_out_of_range(wrong, message):
     with pytest.raises(st.InputError, match=message):
         st.render(SCENES["glass"], **(SMALL | wrong))

@@ -1,4 +1,4 @@
-"""Paths beyond the first hit: those that are followed row by row, and all at once."""
+"""The wavefront of secondary rays: compacted in chunks, it equals all rays at once."""
 
 import sys
 
@@ -15,7 +15,7 @@ SETTINGS = {"width": 40, "height": 26, "bounces": 3}
 
 
 def differentiated(scene: st.Scene) -> tuple:
-    """A picture, its gradient and its derivative along all parameters at once."""
+    """Returns a picture, its derivative along all parameters at once, and its gradient."""
     needs = st.needs(scene, free=("kgr", "kt"))
     moving, rest = eqx.partition(scene, eqx.is_inexact_array)
     render = sys.modules["spheretrace_jax.rendering.render"]
@@ -28,25 +28,25 @@ def differentiated(scene: st.Scene) -> tuple:
 
 
 @pytest.mark.parametrize("name", ["mirrors", "glass", "planes"])
-def test_row_by_row_is_the_same_as_all_at_once(name, monkeypatch):
-    # the eye moves the first rays, the mirrors' own parameters how much of them goes on
+def test_chunks_equal_all_at_once(name, monkeypatch):
+    # the camera moves the first rays, kgr and kt scale the secondary rays
     at_once = differentiated(SCENES[name])
     monkeypatch.setattr(sys.modules["spheretrace_jax.radiance"], "CHUNK", 64)
     jax.clear_caches()
-    by_rows = differentiated(SCENES[name])
-    for ours, theirs in zip(jax.tree.leaves(by_rows), jax.tree.leaves(at_once), strict=True):
+    in_chunks = differentiated(SCENES[name])
+    for ours, theirs in zip(jax.tree.leaves(in_chunks), jax.tree.leaves(at_once), strict=True):
         np.testing.assert_allclose(
             ours, theirs, rtol=1e-11, atol=1e-12 * np.abs(theirs).max(initial=0)
         )
 
 
-def test_only_rows_that_go_on_are_followed(monkeypatch):
+def test_only_surviving_paths_are_traced(monkeypatch):
     radiance = sys.modules["spheretrace_jax.radiance"]
-    followed, nearest = [], radiance.nearest
+    traced, nearest = [], radiance.nearest
 
     def counting(world, ray, needs, leaving=None):
         if leaving is not None:
-            jax.debug.callback(lambda x: followed.append(x.size), ray.direction.x)
+            jax.debug.callback(lambda x: traced.append(x.size), ray.direction.x)
         return nearest(world, ray, needs, leaving)
 
     monkeypatch.setattr(radiance, "CHUNK", 64)
@@ -57,4 +57,4 @@ def test_only_rows_that_go_on_are_followed(monkeypatch):
     jax.clear_caches()
     np.asarray(draw(scene, render.render_settings(scene, **SETTINGS)))
     jax.effects_barrier()
-    assert 0 < sum(followed) < 40 * 26
+    assert 0 < sum(traced) < 40 * 26

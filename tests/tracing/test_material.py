@@ -1,4 +1,4 @@
-"""Sums over lights: a loop over lights that are alike, or one after the other."""
+"""The sum over lights: a loop over lights that are alike equals one term after the other."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,20 +16,20 @@ POSITIONS, COLORS = np.random.default_rng(0).uniform(0, 1, (2, 6, 3))
 
 @pytest.mark.parametrize("clear", [(), (0, 3), tuple(range(6))])
 @pytest.mark.parametrize("tinted", [True, False])
-def test_a_loop_over_lights_adds_up_what_one_after_the_other_does(clear, tinted):
+def test_loop_over_lights_is_their_sum(clear, tinted):
     lights = st.Lights(POSITIONS, COLORS if tinted else COLORS[:, :1] * np.ones((1, 3)))
     scene = eqx.tree_at(lambda s: s.lights, SCENES["shadows"], lights)
     needs = Needs(shadows=len(clear) < 6, clear=clear, tinted=tinted)
 
     def terms(light, shadows):
-        # what lights in whose way nothing stands are not to be asked for counts as much as they do
+        # a shadow test of a light that nothing can block would change both sums
         return jnp.full(2, light.x + 10.0 * shadows), jnp.full(2, light.y - 10.0 * shadows)
 
-    loop, written_out = (sum_lights(scene, (2,), needs, terms, most=most) for most in (1, 6))
+    loop, unrolled = (sum_lights(scene, (2,), needs, terms, most=most) for most in (1, 6))
     shadowed = np.array([i not in clear for i in range(6)])
     diffuse = (POSITIONS[:, 0] + 10 * shadowed) @ lights.color
     shine = (POSITIONS[:, 1] - 10 * shadowed) @ lights.color
-    for sums in (loop, written_out):
+    for sums in (loop, unrolled):
         for found, expected in zip(sums, (diffuse, shine), strict=True):
             found = [np.broadcast_to(x, 2)[0] for x in parts(found)]
             np.testing.assert_allclose(found, expected, rtol=1e-14)

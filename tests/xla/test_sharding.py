@@ -1,4 +1,4 @@
-"""Several devices, also of several processes, compute what one does."""
+"""Sharding: several devices, also of several processes, compute what one device computes."""
 
 import os
 import socket
@@ -16,7 +16,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import spheretrace_jax as st
 
-module = sys.modules["spheretrace_jax.rendering.render"]
+render = sys.modules["spheretrace_jax.rendering.render"]
 
 PROGRAM = """
 import sys
@@ -34,8 +34,8 @@ sharded.save(names, output)
 """
 
 
-def begin(devices: int, *words: object) -> subprocess.Popen:
-    """Starts a process of its own, which has that many devices."""
+def start(devices: int, *words: object) -> subprocess.Popen:
+    """Starts another process with a number of devices."""
     flags = f"--xla_force_host_platform_device_count={devices}"
     environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     command = [sys.executable, "-W", "ignore", "-c", PROGRAM, *map(str, words)]
@@ -45,14 +45,14 @@ def begin(devices: int, *words: object) -> subprocess.Popen:
 
 def end(process: subprocess.Popen) -> None:
     try:
-        _, said = process.communicate(timeout=300)
+        _, errors = process.communicate(timeout=300)
     finally:
         process.kill()
-    assert process.returncode == 0, said[-3000:]
+    assert process.returncode == 0, errors[-3000:]
 
 
 def on_several_devices(names: str, folder: Path) -> dict[str, np.ndarray]:
-    end(begin(sharded.DEVICES, names, folder / "found.npz"))
+    end(start(sharded.DEVICES, names, folder / "found.npz"))
     return dict(np.load(folder / "found.npz"))
 
 
@@ -63,7 +63,7 @@ def in_several_processes(names: str, folder: Path) -> list[dict[str, np.ndarray]
     count = sharded.PROCESSES
     files = [folder / f"found{rank}.npz" for rank in range(count)]
     devices = sharded.DEVICES // count
-    running = [begin(devices, names, file, address, count, rank) for rank, file in enumerate(files)]
+    running = [start(devices, names, file, address, count, rank) for rank, file in enumerate(files)]
     try:
         for process in running:
             end(process)
@@ -75,11 +75,11 @@ def in_several_processes(names: str, folder: Path) -> list[dict[str, np.ndarray]
 
 @cache
 def on_one_device(names: str) -> dict[str, np.ndarray]:
-    return sharded.computed(names, None)
+    return sharded.compute(names, None)
 
 
-def same(found: dict[str, np.ndarray], names: str) -> None:
-    """That what was found is what one device finds."""
+def assert_same_results(found: dict[str, np.ndarray], names: str) -> None:
+    """Asserts that results equal those of one device."""
     one = on_one_device(names)
     assert found.keys() == one.keys()
     for key, value in one.items():
@@ -88,37 +88,37 @@ def same(found: dict[str, np.ndarray], names: str) -> None:
 
 
 def test_eight_devices(tmp_path):
-    names = "neighbours,pictures,work,slopes,fits"
-    same(on_several_devices(names, tmp_path), names)
+    names = "neighbours,pictures,operations,gradients,fits"
+    assert_same_results(on_several_devices(names, tmp_path), names)
 
 
 @pytest.mark.slow
 def test_two_processes(tmp_path):
-    """Each of four devices, of which the other process sees none."""
-    for found in in_several_processes("views", tmp_path):
-        same(found, "views")
+    """Runs each process with four devices, none of which the other process sees."""
+    for found in in_several_processes("two_pictures", tmp_path):
+        assert_same_results(found, "two_pictures")
 
 
 @pytest.mark.slow
-def test_two_processes_draw_pictures_and_start_from_nothing(tmp_path):
-    names = "pictures,slopes,fits,starts"
+def test_pictures_and_fits_of_two_processes(tmp_path):
+    names = "pictures,gradients,fits,auto_starts"
     for found in in_several_processes(names, tmp_path):
-        same(found, names)
+        assert_same_results(found, names)
 
 
 @pytest.mark.slow
 def test_edges_on_eight_devices(tmp_path):
-    same(on_several_devices("edges", tmp_path), "edges")
+    assert_same_results(on_several_devices("edges", tmp_path), "edges")
 
 
 ROWS = NamedSharding(Mesh(jax.devices()[:1], "rows"), PartitionSpec("rows"))
 PICTURE = dict(width=8, height=6)
 
 
-def test_one_device_is_several_devices_too_and_compiles_once(monkeypatch):
+def test_sharding_on_one_device_compiles_once(monkeypatch):
     traced = []
-    inner = module.build_tables
-    monkeypatch.setattr(module, "build_tables", lambda scene: traced.append(1) or inner(scene))
+    inner = render.build_tables
+    monkeypatch.setattr(render, "build_tables", lambda scene: traced.append(1) or inner(scene))
     scene = three_spheres().astype(np.float32)
     for factor in (0.9, 1.0):
         changed = jax.tree.map(lambda leaf, f=factor: leaf * f, scene)
@@ -135,13 +135,13 @@ def test_one_device_is_several_devices_too_and_compiles_once(monkeypatch):
         (NamedSharding(ROWS.mesh, PartitionSpec(None, "rows")), "must divide rows and nothing"),
     ],
 )
-def test_shardings_that_do_not_divide_rows_are_refused(sharding, message):
+def test_shardings_must_divide_rows(sharding, message):
     with pytest.raises(st.InputError, match=message) as error:
         st.render(three_spheres(), **PICTURE, sharding=sharding)
     assert "\n" not in str(error.value)
 
 
-def test_a_mesh_that_was_set_must_leave_placement_to_the_compiler():
+def test_mesh_must_leave_placement_to_the_compiler():
     mesh = jax.make_mesh((1,), ("rows",))
     with jax.set_mesh(mesh), pytest.raises(st.InputError, match=r"AxisType\.Auto"):
         st.render(three_spheres(), **PICTURE, sharding=NamedSharding(mesh, PartitionSpec("rows")))

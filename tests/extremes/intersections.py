@@ -1,6 +1,6 @@
 """Rays and spheres.
-Roots along rays of float32 against those of the same rays in numbers of 50 digits. An ulp is one of
-the largest length that float32 had to tell apart: the distance to the centre, or the radius.
+Roots along rays in float32 are compared with roots in numbers of 50 digits. An ulp is one of the
+larger length: the distance to the centre, or the radius.
 """
 
 import jax
@@ -9,7 +9,7 @@ import numpy as np
 
 import spheretrace_jax as st
 from extremes.case import Case, case
-from extremes.exact import EXACT, passes_by, ray, sphere_roots, to_exact
+from extremes.exact import EXACT, line_distance, ray, sphere_roots, to_exact
 from spheretrace_jax.base.vec import parts, vec
 from spheretrace_jax.scene.camera import pixel_rays
 from spheretrace_jax.tracing.intersect import ray_sphere
@@ -20,7 +20,7 @@ EPS = np.finfo(np.float32).eps
 
 
 def aimed(rng, center, radius, off, eye):
-    """Rays of float32 from eyes past the centres at `off` radii, in random directions around."""
+    """Returns directions in float32 from eyes past the centres, `off` radii away from these."""
     across = np.cross(center - eye, rng.standard_normal(np.shape(eye)))
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
     distance = np.linalg.norm(center - eye, axis=-1, keepdims=True)
@@ -31,10 +31,10 @@ def aimed(rng, center, radius, off, eye):
 
 
 def roots(eye, direction, center, radius):
-    """Near and far roots of float32, and exactly: arrays `(rays, 2)`; where a ray misses, nan."""
+    """Returns near and far roots in float32, and exact ones: arrays `(rays, 2)`, nan for a miss."""
     arrays = [np.broadcast_to(x, direction.shape) for x in (eye, direction, center)]
-    planes = (vec(jnp.asarray(x.T, jnp.float32)) for x in arrays)
-    found = np.stack(ray_sphere(*planes, jnp.asarray(radius, jnp.float32)), axis=-1)
+    vectors = (vec(jnp.asarray(x.T, jnp.float32)) for x in arrays)
+    found = np.stack(ray_sphere(*vectors, jnp.asarray(radius, jnp.float32)), axis=-1)
     true = [
         sphere_roots(*map(to_exact, row), EXACT.mpf(float(radius))) or [EXACT.nan, EXACT.nan]
         for row in zip(*arrays, strict=True)
@@ -43,7 +43,7 @@ def roots(eye, direction, center, radius):
 
 
 def ulps(off, eye, center, radius):
-    """Errors in ulps of the distance to the centre, or of the radius."""
+    """Returns errors in ulps of the distance to the centre, or of the radius."""
     distance = np.linalg.norm(np.float64(center) - np.float64(eye), axis=-1)
     return np.abs(off) / np.spacing(np.maximum(distance, radius).astype(np.float32))[..., None]
 
@@ -53,7 +53,7 @@ def unit_sphere(distance: float) -> Case:
         rng = np.random.default_rng(0)
         center = rng.standard_normal((RAYS, 3))
         center *= distance / np.linalg.norm(center, axis=1, keepdims=True)
-        if distance >= 1e7:  # no direction of float32 but an axis is as exact
+        if distance >= 1e7:  # only along an axis is a direction of float32 exact enough
             center = np.eye(3)[rng.integers(0, 3, RAYS)] * distance
         center, eye = center.astype(np.float32), np.zeros((RAYS, 3), np.float32)
         off = rng.uniform(0, 0.7, RAYS) * (distance < 1e7)
@@ -64,9 +64,9 @@ def unit_sphere(distance: float) -> Case:
         assert worst <= 4, worst
         return f"{worst:.2g} ulp at most"
 
-    where = "" if distance < 1e7 else ", seen along an axis"
+    aim = "" if distance < 1e7 else ", seen along an axis"
     promise = f"both roots of {RAYS} rays to 4 ulp"
-    return Case(f"a unit sphere {distance:,.0f} away{where}", promise, check, GEMS)
+    return Case(f"a unit sphere {distance:,.0f} away{aim}", promise, check, GEMS)
 
 
 UNIT_SPHERES = [unit_sphere(d) for d in (1e2, 2e3, 4.1e3, 8e3, 1e5, 1e6, 1e7)]
@@ -89,7 +89,7 @@ def floor() -> str:
 
 @case(
     "rays that touch a sphere: past it at 1 +- 10^-7..-2 of its radius, 1 to 1e4 radii away",
-    "hit or missed as the ray in exact numbers is, unless that passes within 4 ulp of the surface",
+    "hits and misses are those of exact numbers, unless the ray passes within 4 ulp of the surface",
 )
 def tangent() -> str:
     rng, rays = np.random.default_rng(2), 2000
@@ -100,8 +100,10 @@ def tangent() -> str:
     eye = np.zeros((rays, 3), np.float32)
     direction = aimed(rng, center.astype(np.float64), 1, off, eye)
     found, _ = roots(eye, direction, center, 1)
-    past = [passes_by(*map(to_exact, row)) for row in zip(eye, direction, center, strict=True)]
-    depth = 1 - np.array(past).astype(float)
+    distances = [
+        line_distance(*map(to_exact, row)) for row in zip(eye, direction, center, strict=True)
+    ]
+    depth = 1 - np.array(distances).astype(float)
     clear = ulps(depth[:, None], eye, center, 1)[:, 0] > 4
     hits = np.isfinite(found[:, 0])
     wrong = clear & (hits != (depth > 0))
@@ -112,7 +114,7 @@ def tangent() -> str:
 
 @case(
     "eyes on a sphere, and 1 ulp to 1e-3 of the radius inside and outside of it; radii 1e-4..1e4",
-    "both roots to 4 ulp, so that the near one is 0 to 4 ulp; eyes 8 ulp inside see the far root",
+    "both roots to 4 ulp, so that the near root is 0 to 4 ulp; eyes 8 ulp inside see the far root",
 )
 def near_the_surface() -> str:
     rng, worst, shown = np.random.default_rng(3), 0.0, 0
@@ -144,12 +146,14 @@ def near_the_surface() -> str:
     "directions of rays to 2 eps, of length 1",
 )
 def pixels() -> str:
-    places, size, worst = jnp.arange(5, dtype=jnp.float32) + 0.5, (5, 5), 0.0
-    look = jax.jit(lambda camera: pixel_rays(camera, places[None], places[:, None], size).direction)
+    centers, size, worst = jnp.arange(5, dtype=jnp.float32) + 0.5, (5, 5), 0.0
+    directions = jax.jit(
+        lambda camera: pixel_rays(camera, centers[None], centers[:, None], size).direction
+    )
     for exponent in range(-30, 31, 3):
         lengths = 9 * 10.0**exponent, 3 * 10.0**exponent
         camera = st.Camera(*map(jnp.float32, (0.3, 0.4, 500, *lengths)))
-        found = np.stack(parts(look(camera)), axis=-1)
+        found = np.stack(parts(directions(camera)), axis=-1)
         exact_camera = jax.tree.map(lambda x: to_exact(np.asarray(x)), camera)
         for row in range(5):
             for column in range(5):

@@ -1,6 +1,6 @@
-"""Pictures of 3 x 3 pixels and their derivatives, by one compiled program for all scenes.
+"""Pictures of 3 x 3 pixels and their derivatives.
 
-Scenes of three spheres and two lights share it, whatever their numbers.
+All scenes have three spheres and two lights, so that they share one compiled program.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ SIDE = 3
 PIXELS = dict(width=SIDE, height=SIDE)
 WEIGHTS = np.random.default_rng(5).uniform(0.5, 1.5, (SIDE, SIDE, 3))
 
-#: Mirrors, eyes and lights inside spheres, shadows, highlights, a background.
+#: Needs: mirrors, eyes and lights inside spheres, shadows, highlights, a background.
 NEEDS = dataclasses.replace(
     st.Needs(), transmission=False, branching=False, textures=False, planes=False, checkers=False
 )
@@ -26,20 +26,20 @@ NEEDS = dataclasses.replace(
 
 @dataclasses.dataclass(frozen=True)
 class Extreme:
-    """A scene of the catalogue."""
+    """A scene of the catalogue and its tolerances."""
 
-    scene: st.Scene  #: its numbers are rounded to float32, also where it is drawn in float64
-    #: By how many eps pictures may be off, relative to the largest number in them. An eps of an
-    #: angle or of a length may be many of the picture: of (R.V)^n it is n.
+    scene: st.Scene  #: with numbers that are rounded to float32, also for pictures in float64
+    #: The largest error of pictures, in eps, relative to the largest number of the picture. An eps
+    #: of an angle or a length may be many eps of the picture: n in (R.V)^n.
     rounding: float = 20
-    slopes: float = 200  #: the same of derivatives
-    smooth: bool = True  #: whether it has a derivative; what is on an edge has none
+    slopes: float = 200  #: the largest error of derivatives, likewise
+    smooth: bool = True  #: false on an edge, where no derivative exists
     bounces: int = 0
 
 
 def three(lights=((300.0, 350, 400), (-250, 100, 300)), camera=None, **changes) -> st.Scene:
-    """Three shiny spheres that float before the eye, two of them around the middle pixel."""
-    parts = dict(
+    """Makes three shiny spheres before the eye, two of them around the middle pixel."""
+    columns = dict(
         center=[[-60.0, -30, 0], [50, 40, -40], [10, -20, 90]],
         radius=[60.0, 70, 45],
         color=[[0.8, 0.3, 0.2], [0.2, 0.7, 0.4], [0.5, 0.5, 0.9]],
@@ -51,7 +51,7 @@ def three(lights=((300.0, 350, 400), (-250, 100, 300)), camera=None, **changes) 
     colors = [[0.5, 0.6, 0.3], [0.4, 0.2, 0.5]]
     camera = st.Camera(0.3, 0.4, 500.0, 900.0, 300.0) if camera is None else camera
     background = (0.1, 0.2, 0.3)
-    spheres = st.Spheres(**(parts | changes))
+    spheres = st.Spheres(**(columns | changes))
     return st.Scene(spheres, st.Lights(lights, colors), camera, background=background)
 
 
@@ -67,13 +67,13 @@ def _drawn(scene: st.Scene, weights: jax.Array, bounces: int):
 
 
 def drawn(scene: st.Scene, bounces: int = 0) -> tuple[st.Scene, np.ndarray]:
-    """The derivatives of the weighted sum of a picture, and the picture."""
+    """Returns the derivatives of the weighted sum of a picture, and the picture."""
     slopes, picture = _drawn(scene, jnp.asarray(WEIGHTS, scene.dtype), bounces)
     return slopes, np.asarray(picture)
 
 
 def picture_case(tried: str, extreme: Extreme) -> Case:
-    """Its picture against the same in exact numbers, in float32 and float64."""
+    """Compares a picture in float32 and float64 with the picture in exact numbers."""
 
     def check() -> str:
         off, scene = [], extreme.scene.astype(np.float32)

@@ -1,7 +1,7 @@
 """Rays that leave surfaces.
-After pbrt's test of rounding errors: spheres, eyes and lights of very different sizes, 2^21 or
-2^19 trials each in float32. Rays that leave a sphere skip it by its number, so that there is no
-epsilon, and no scale at which one would be too small or too large.
+Spheres, eyes and lights of very different sizes, 2^21 or 2^19 trials each in float32, after pbrt's
+test of rounding errors. Rays that leave a sphere skip this sphere by its number. So there is no
+epsilon, and no scale at which an epsilon would be too small or too large.
 """
 
 import dataclasses
@@ -26,22 +26,22 @@ OUTSIDE = dataclasses.replace(NEEDS, inside=False)
 
 
 def sizes(rng, exponent: float, *shape: int) -> np.ndarray:
-    """10^U[-exponent, exponent], in float32."""
+    """Draws lengths 10^U[-exponent, exponent] in float32."""
     return (10 ** rng.uniform(-exponent, exponent, shape)).astype(np.float32)
 
 
-def places(rng, exponent: float, *shape: int) -> np.ndarray:
-    """The same per coordinate, with random signs."""
+def points(rng, exponent: float, *shape: int) -> np.ndarray:
+    """Draws points with such coordinates of random signs."""
     return sizes(rng, exponent, *shape, 3) * rng.choice(np.float32([-1, 1]), (*shape, 3))
 
 
 def directions(rng, count: int) -> np.ndarray:
-    """In float32, of any length."""
+    """Draws directions in float32, of any length."""
     return rng.standard_normal((count, 3)).astype(np.float32)
 
 
 def boxed(rng, center: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Points in spheres' boxes."""
+    """Draws points in the boxes around spheres."""
     return center + radius[:, None] * rng.uniform(-1, 1, center.shape).astype(np.float32)
 
 
@@ -49,7 +49,7 @@ def lengths(v: np.ndarray) -> np.ndarray:
     return np.linalg.norm(v.astype(np.float64), axis=-1)
 
 
-def _world(center, radius) -> SceneTables:
+def _tables(center, radius) -> SceneTables:
     return build_tables(st.Scene(st.Spheres(center, radius), st.Lights(jnp.zeros((1, 3)))))
 
 
@@ -59,15 +59,15 @@ def _rows(v: Vec) -> jax.Array:
 
 @partial(jax.jit, static_argnames="needs")
 def arrive(center, radius, eye, aim, needs: st.Needs = NEEDS) -> tuple[Hit, jax.Array, jax.Array]:
-    """What rays from `eye` to `aim` meet, the points, and the normals on the side of the eye.
+    """Returns the hits of rays from `eye` to `aim`, their points, and normals towards the eye.
 
-    Each trial has a world of its own: `center` of shape `(trials, spheres, 3)`.
+    Each trial has its own spheres: `center` of shape `(trials, spheres, 3)`.
     """
 
     def trial(center, radius, eye, aim):
-        world, ray = _world(center, radius), Ray(vec(eye), unit(vec(aim - eye)))
-        hit = closest_hit(world, ray, needs)
-        surface = surface_at(world, ray, hit, needs)
+        tables, ray = _tables(center, radius), Ray(vec(eye), unit(vec(aim - eye)))
+        hit = closest_hit(tables, ray, needs)
+        surface = surface_at(tables, ray, hit, needs)
         return hit, _rows(surface.point), _rows(surface.normal)
 
     return jax.vmap(trial)(center, radius, eye, aim)
@@ -75,42 +75,45 @@ def arrive(center, radius, eye, aim, needs: st.Needs = NEEDS) -> tuple[Hit, jax.
 
 @partial(jax.jit, static_argnames="needs")
 def depart(center, radius, hit, point, toward, light, needs: st.Needs = NEEDS) -> tuple:
-    """What rays meet that leave points of spheres, -1 for nothing, their directions, and whether
-    lights reach these points.
+    """Returns the hits of rays that leave spheres, their directions, and the lights' visibility.
+
+    A hit is the number of the sphere, -1 for a miss.
 
     **Arguments:** `toward`: directions of any length.
     """
 
     def trial(center, radius, hit, point, toward, light):
-        world, ray = _world(center, radius), Ray(vec(point), unit(vec(toward)))
-        again = closest_hit(world, ray, needs, hit).id
-        lit = light_visible(world, ray.origin, hit, vec(light), needs)
+        tables, ray = _tables(center, radius), Ray(vec(point), unit(vec(toward)))
+        again = closest_hit(tables, ray, needs, hit).id
+        lit = light_visible(tables, ray.origin, hit, vec(light), needs)
         return again, _rows(ray.direction), lit
 
     return jax.vmap(trial)(center, radius, hit, point, toward, light)
 
 
 def alone(tried: str, spread: float | None, needs: st.Needs) -> Case:
-    """One sphere. **Arguments:** `spread`: its centre is 10^U[-spread, spread]; None: 0."""
+    """Makes a case of one sphere, whose centre is 10^U[-spread, spread], 0 for None."""
 
     def check() -> str:
         rng = np.random.default_rng(0)
-        radius, eye, light = sizes(rng, 4, TRIALS), places(rng, 8, TRIALS), places(rng, 8, TRIALS)
-        center = np.zeros_like(eye) if spread is None else places(rng, spread, TRIALS)
-        world = center[:, None], radius[:, None]
-        hit, point, normal = jax.device_get(arrive(*world, eye, boxed(rng, center, radius), needs))
+        radius, eye, light = sizes(rng, 4, TRIALS), points(rng, 8, TRIALS), points(rng, 8, TRIALS)
+        center = np.zeros_like(eye) if spread is None else points(rng, spread, TRIALS)
+        spheres = center[:, None], radius[:, None]
+        hit, point, normal = jax.device_get(
+            arrive(*spheres, eye, boxed(rng, center, radius), needs)
+        )
         outwards = directions(rng, TRIALS)
         outwards *= np.sign((outwards * normal).sum(1, keepdims=True))
-        again, _, lit = jax.device_get(depart(*world, hit, point, outwards, light, needs))
+        again, _, lit = jax.device_get(depart(*spheres, hit, point, outwards, light, needs))
         outside = (hit.id == 0) & (lengths(eye - center) > radius)
         front = outside & (((light - point) * normal).sum(1) > 0)
         front &= lengths(light - center) > radius
         false_hits, false_shadows = (outside & (again == 0)).sum(), (front & ~lit).sum()
         assert outside.sum() >= 1e6 and front.sum() >= 4e5, (outside.sum(), front.sum())
         assert false_hits == 0 and false_shadows == 0, (false_hits, false_shadows)
-        return f"0 of {outside.sum():,} rays, 0 of {front.sum():,} ways to lights"
+        return f"0 of {outside.sum():,} rays, 0 of {front.sum():,} shadow rays"
 
-    promise = "no ray that leaves outwards meets its own sphere, which shades no light before it"
+    promise = "no ray that leaves outwards hits its source, which blocks no light in front of it"
     return Case(tried, promise, check, PBRT)
 
 
@@ -124,18 +127,18 @@ ALONE = [
 
 @case(
     "from the inner wall of a sphere, radius 10^U[-4,4], rays as flat as N.D = 10^-6",
-    "all meet the wall again; lights inside reach every point of it, and lights outside none",
+    "all hit the wall again; lights inside are visible from the whole wall, lights outside are not",
 )
 def room() -> str:
     rng = np.random.default_rng(1)
     radius, center = sizes(rng, 4, FEWER), np.zeros((FEWER, 3), np.float32)
-    world, aim = (center[:, None], radius[:, None]), directions(rng, FEWER)
-    hit, point, normal = jax.device_get(arrive(*world, center, aim * radius[:, None]))
+    spheres, aim = (center[:, None], radius[:, None]), directions(rng, FEWER)
+    hit, point, normal = jax.device_get(arrive(*spheres, center, aim * radius[:, None]))
     across = np.cross(np.float64(normal), directions(rng, FEWER))
     climb = 10 ** rng.uniform(-6, 0, (FEWER, 1))
     toward = (across / lengths(across)[:, None] + climb * normal).astype(np.float32)
     light = 2 * boxed(rng, center, radius)
-    again, _, lit = jax.device_get(depart(*world, hit, point, toward, light))
+    again, _, lit = jax.device_get(depart(*spheres, hit, point, toward, light))
     away = lengths(light) / radius
     wrong = (np.abs(away - 1) > 4 * EPS) & (lit != (away < 1))
     leaks = again != 0
@@ -145,14 +148,14 @@ def room() -> str:
 
 
 def second(tried: str, spread: float, giant: float | None = None) -> Case:
-    """Rays and ways to lights from one sphere past another, against float64.
+    """Makes a case of rays and shadow rays from one sphere past another, against float64.
 
     **Arguments:** `giant`: the radius of a third sphere, below and out of the way.
     """
 
     def check() -> str:
         rng = np.random.default_rng(2)
-        radius, center = sizes(rng, spread, FEWER, 2), places(rng, spread, FEWER, 2)
+        radius, center = sizes(rng, spread, FEWER, 2), points(rng, spread, FEWER, 2)
         eye = center[:, 0] + directions(rng, FEWER) * 10 * radius[:, :1]
         if giant is not None:
             below = np.broadcast_to(np.float32([0, 0, -3 * giant]), (FEWER, 1, 3))
@@ -184,11 +187,11 @@ def second(tried: str, spread: float, giant: float | None = None) -> Case:
             wrong = clear & (met != (depth > 0))
             results += [wrong.sum(), clear.sum()]
         assert results[0] == results[2] == 0, results
-        return "0 of {1:,} rays, 0 of {3:,} ways to lights ({0}, {2})".format(*results)
+        return "0 of {1:,} rays, 0 of {3:,} shadow rays ({0}, {2})".format(*results)
 
     promise = (
-        "the second is met, or shades, as in float64, unless the way passes within 4 ulp of its"
-        " surface: ulps of the longest of its radius and the ways to it and to the light"
+        "the second is hit, or blocks the light, as in float64, unless the ray passes within 4 ulp"
+        " of its surface: ulps of the longest of radius, distance to it and distance to the light"
     )
     return Case(tried, promise, check)
 
@@ -196,5 +199,5 @@ def second(tried: str, spread: float, giant: float | None = None) -> Case:
 _TWO = "a second sphere, well away; radii and centres 10^U"
 SECOND = [
     second(_TWO + "[-4,4]", 4),
-    second(_TWO + "[-2,2], beside a planet of 1e8", 2, 1e8),
+    second(_TWO + "[-2,2], near a planet of 1e8", 2, 1e8),
 ]

@@ -1,6 +1,6 @@
 """Covered edges at their limits (antialias 1).
-Spheres smaller than a pixel are discs of known area; an eps here is one of the sphere's colour
-filling a whole pixel.
+Spheres smaller than a pixel are discs of known area. An eps is relative to a pixel that the sphere
+fills.
 """
 
 import dataclasses
@@ -12,28 +12,29 @@ import numpy as np
 import spheretrace_jax as st
 from extremes import shading, views
 from extremes.case import case
-from extremes.draw import NEEDS, PIXELS, WEIGHTS
+from extremes.pictures import NEEDS, PIXELS, WEIGHTS
 
 LEAN = dataclasses.replace(
     NEEDS, shadows=False, highlights=False, inside=False, reflection=False, crossings=False
 )
 
 
-SIDE, EYE = 2.0, 600.0  #: of a pixel on the view plane, and how far away that is
+SIDE, EYE = 2.0, 600.0  #: the side of a pixel on the view plane, and the distance of that plane
 
 
 def disc(radius: float, x: float) -> st.Scene:
-    """A white sphere in ambient light: its radius, and its way from the middle, in pixels."""
+    """Makes a white sphere in ambient light. **Arguments:** radius and offset in pixels."""
     ball = st.Spheres([[0.0, x * SIDE, 0]], [radius * SIDE], (1.0, 1, 1), ka=1.0, kd=0.0)
     camera = st.Camera(0.0, 0.0, EYE, EYE, SIDE * PIXELS["height"])
     return st.Scene(ball, st.Lights([[0.0, 0, 1e4]]), camera, antialias=1)
 
 
 def area(radius: float, x: float) -> tuple[float, float]:
-    """In pixels, of the ellipse that it is seen as, and of R times its derivative by R.
+    """Returns the area of a sphere's silhouette, in pixels, and R times its derivative by R.
 
-    A cone of half angle a, whose axis is turned by b, cuts a plane at distance d in an ellipse of
-    half axes d sin a cos a / (cos^2 b - sin^2 a) and d sin a / sqrt(cos^2 b - sin^2 a).
+    The silhouette is an ellipse: a cone of half angle a, whose axis is turned by b, cuts a plane at
+    distance d with the half axes d sin a cos a / (cos^2 b - sin^2 a) and
+    d sin a / sqrt(cos^2 b - sin^2 a).
     """
     away = np.hypot(EYE, x * SIDE)
     sine2 = (radius * SIDE / away) ** 2
@@ -44,8 +45,8 @@ def area(radius: float, x: float) -> tuple[float, float]:
 
 @case(
     "spheres of 1e-4 to 0.9 pixels, in the middle of a pixel, off it and on the line between two",
-    "the sum of the picture, and R times its derivative by R, are those of the disc to 2e-5 of its"
-    " diameter in pixels (which see 0.2 degrees, and take edges to be straight) and 20 eps",
+    "the sum of the picture, and R times its derivative by R, equal those of the disc to 20 eps"
+    " plus 2e-5 of its diameter in pixels, as pixels of 0.2 degrees take edges to be straight",
     slow=True,
 )
 def discs() -> str:
@@ -71,7 +72,7 @@ def discs() -> str:
 
 
 @case(
-    "the scenes of the parts on shading and views (but the hall of mirrors), edges covered",
+    "the scenes of shading and of views, but the hall of mirrors, with covered edges",
     "pictures and the derivatives by all arrays are finite, in float32",
     slow=True,
 )
