@@ -1,4 +1,4 @@
-"""What pictures determine, of scenes that are made so that it is known beforehand."""
+"""Identifiability of scenes that are made so that what their pictures determine is known."""
 
 import warnings
 
@@ -20,7 +20,7 @@ RED, GREEN = [0.8, 0.3, 0.2], [0.2, 0.7, 0.4]
 
 
 def scene(dtype=np.float64, camera=(-np.pi / 2, 0.1), planes=None, background=0.0, **changes):
-    """Sphere 1 on the left, 2 on the right, 3 small above, all lit by two lights from above.
+    """Makes sphere 1 on the left, 2 on the right, 3 small above, and two lights above all.
 
     **Arguments:** `changes`: of the spheres, `lights` and `light_color`.
     """
@@ -46,7 +46,7 @@ def scene(dtype=np.float64, camera=(-np.pi / 2, 0.1), planes=None, background=0.
 
 
 def found(truth, free, target=None, **options) -> st.Fit:
-    """The fit that starts, and stays, at the scene that its picture was made of."""
+    """Returns the fit that starts, and stays, at the scene of its picture."""
     target = st.render(truth, bounces=0, **SIZE) if target is None else target
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*set antialias to 1")
@@ -61,7 +61,7 @@ def check(fit: st.Fit, nullity: int, words: set[str]) -> None:
 
 
 def without(row: int, value, name: str):
-    """The default numbers of a name, but those of one sphere."""
+    """Returns the default numbers of a name, with another for one sphere."""
     numbers = np.array(getattr(scene().spheres, name))
     numbers[row] = value
     return {name: numbers}
@@ -163,7 +163,7 @@ def test_looks(case):
     check(found(scene(**changes), LOOKS), nullity, words)
 
 
-def test_spheres_where_the_target_does_not_count():
+def test_masked_spheres():
     left = np.arange(SIZE["width"]) < 16
     mask = np.broadcast_to(left, (SIZE["height"], SIZE["width"]))
     words = {f"sphere 2 is not visible where the target counts: {ALL_OF_IT}"}
@@ -221,7 +221,7 @@ def test_shades(case, double):
         check(found(truth, SHADES), nullity, words)
 
 
-def test_a_fit_from_elsewhere():
+def test_after_a_fit():
     truth = scene(ka=[0.0, 0.2, 0.3])
     start = scene(
         ka=[0.0, 0.2, 0.3], color=0.5 * np.ones(3), kd=0.5, ks=0.5, exponent=5.0,
@@ -233,7 +233,7 @@ def test_a_fit_from_elsewhere():
     check(fit, 1, scales(1, of="kd"))
 
 
-def test_what_drowns_in_the_noise_is_told_apart_from_what_does_not_show():
+def test_weak_is_not_undetermined():
     one_far = scene(lights=[LIGHTS[0], [-2e5, -1e5, 1e6]])
     for truth, noise, weak in (
         (scene(), 0.001, []),
@@ -250,13 +250,13 @@ def test_what_drowns_in_the_noise_is_told_apart_from_what_does_not_show():
 
 
 def shown(s: st.Scene) -> jax.Array:
-    """What a picture determines of the spheres and the lights, flat."""
+    """Returns what a picture determines of the spheres and the lights, flat."""
     s, lights = s.spheres, s.lights.position
     products = s.ka[:, None] * s.color, s.kd[:, None] * s.color
     return jnp.concatenate([x.reshape(-1) for x in (*products, s.ks, s.exponent, lights)])
 
 
-def test_products_have_an_uncertainty_where_their_factors_have_none():
+def test_uncertainty_of_products():
     truth = scene()
     noise = 0.01
     fit = found(truth, LOOKS, noise=noise)
@@ -287,7 +287,7 @@ def test_products_have_an_uncertainty_where_their_factors_have_none():
     assert np.abs(apart).max() < 1e-8
 
 
-def test_the_step_that_the_solver_did_not_take_counts():
+def test_uncertainty_counts_remaining_step():
     truth = scene()
     target = st.render(truth, bounces=0, **SIZE)
     start = eqx.tree_at(lambda s: s.spheres.ks, truth, truth.spheres.ks + 0.05)
@@ -434,14 +434,14 @@ WORLD_CASES = {
 
 
 @pytest.mark.parametrize("case", WORLD_CASES)
-def test_the_world_moves_with_the_eye_if_no_plane_stays(case):
+def test_motion_with_eye(case):
     planes, changes, nullity, words = WORLD_CASES[case]
     planes = [list(x) for x in zip(*planes, strict=True)]
     check(found(scene(planes=planes, **(SMALL | changes)), GEOMETRY), nullity, words)
 
 
 @pytest.mark.slow
-def test_the_world_moves_with_the_eye_where_edges_are_covered():
+def test_motion_with_eye_antialiased():
     truth = scene(**SMALL | dict(center=[[-40, 0, 0], [0, 20, 70]], ks=0.0)).with_antialias(1)
     check(found(truth, GEOMETRY), 4, WORLD | {SCALE})
 
@@ -450,7 +450,7 @@ SEVERAL = ("kd", "ks", "light_color", "exposure")
 
 
 def two_pictures(second_camera=(-np.pi / 2, 0.1), **changes) -> list[st.Scene]:
-    """Of two lights, and of one other; colours and ka are known."""
+    """Makes a scene of two lights, and one of another light; colours and ka are known."""
     other = dict(lights=[[-100.0, 300, 300]], light_color=[[0.7, 0.8, 0.9]])
     first = dict(background=BACKGROUND) | changes
     return [scene(**first), scene(camera=second_camera, **(first | other))]
