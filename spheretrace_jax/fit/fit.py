@@ -161,8 +161,8 @@ def fit(
     - `darkest`: numbers up to `darkest` are under-exposed and do not count. 0 leaves out black.
     - `loss`: `"square"`; `"huber"` or `"cauchy"` for targets with outliers, in units of the noise,
       which is estimated from the residuals if it is not given.
-    - `start`: `"lights"` searches for the lights first, from where they are in the scene, each
-      time with the materials that suit them best, in closed form (variable projection). `"scene"`
+    - `start`: `"lights"` searches for the lights first, from where they are in the scene. Each step
+      takes the materials that suit them best, in closed form (variable projection). `"scene"`
       does so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
       `scene` only the geometry, the number of lights and what is not free are used, and directions
       all around are tried for the lights.
@@ -180,9 +180,9 @@ def fit(
     - `sharding`: how the pictures' rows lie on several devices, as for `render`: each device sums
       up the normal equations of its own rows, and what is found lies whole on all of them. Where
       devices are those of several processes, all of these call `fit` with the same arguments. A
-      target, mask, weights or noise may be an array whose parts lie with several processes, such
-      as rows of one picture, or pictures of a list that is one array of shape `(pictures, height,
-      width, 3)` (`jax.make_array_from_process_local_data`): it is sent to all of them once.
+      target, mask, weights or noise may be one array over several processes
+      (`jax.make_array_from_process_local_data`), which is sent to all of them once: rows of one
+      picture, or a list of pictures as one array of shape `(pictures, height, width, 3)`.
 
     With several pictures `mask`, `weights` and `noise` are lists, or one value for all.
 

@@ -11,59 +11,15 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import spheretrace_jax as st
-from spheretrace_jax.study.benchmarks.derivatives import blurred
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+from helpers.derivatives import PARAMETERS, blurred, derivative, difference, off
 from helpers.scenes import nine_spheres, three_spheres
-
-#: Parameters of `three_spheres`: where they are, and a step that moves edges by about 1/20 pixel of
-#: a picture 256 pixels high.
-PARAMETERS = {
-    "center x": (lambda s: s.spheres.center, (0, 0), 0.06),
-    "center y": (lambda s: s.spheres.center, (1, 1), 0.06),
-    "center z": (lambda s: s.spheres.center, (1, 2), 0.3),
-    "radius": (lambda s: s.spheres.radius, (0,), 0.06),
-    "light x": (lambda s: s.lights.position, (0, 0), 0.25),
-    "light y": (lambda s: s.lights.position, (0, 1), 0.25),
-    "light z": (lambda s: s.lights.position, (0, 2), 0.4),
-    "theta": (lambda s: s.camera.theta, (), 8e-4),
-    "phi": (lambda s: s.camera.phi, (), 8e-4),
-    "mu": (lambda s: s.camera.mu, (), 0.4),
-    "distance": (lambda s: s.camera.distance, (), 0.6),
-}
-
-
-def moved(scene: st.Scene, name: str, step: float) -> st.Scene:
-    """The scene with one of its parameters changed."""
-    where, place, _ = PARAMETERS[name]
-    return eqx.tree_at(where, scene, where(scene).at[place].add(step))
-
-
-def difference(scene: st.Scene, name: str, step: float, **settings) -> np.ndarray:
-    """The derivative of a picture by one parameter, as a central difference."""
-    up, down = (st.render(moved(scene, name, s), **settings) for s in (step, -step))
-    return np.asarray((up - down) / (2 * step))
-
-
-def derivative(scene: st.Scene, **settings) -> Callable[[str], np.ndarray]:
-    """From a parameter's name to the picture's derivative by it, in forward mode."""
-    settings = dict(needs=st.needs(scene)) | settings
-    forward = eqx.filter_jit(
-        lambda along: jax.jvp(lambda s: st.render(s, **settings), (scene,), (along,))[1]
-    )
-    still = jax.tree.map(jnp.zeros_like, scene)
-    return lambda name: np.asarray(forward(moved(still, name, 1.0)))
-
-
-def off(value: np.ndarray, truth: np.ndarray) -> float:
-    """The relative error in the L2 norm."""
-    return float(np.linalg.norm(np.asarray(value) - truth) / np.linalg.norm(truth))
 
 
 def medians(works: dict[str, Callable], runs: int) -> dict[str, float]:

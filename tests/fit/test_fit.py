@@ -24,7 +24,7 @@ def with_random_colors(scene: st.Scene) -> st.Scene:
 
 
 def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
-    """The largest error of the determined products, relative to each one's largest value."""
+    """Returns the largest errors of the determined products, as parts of their largest values."""
     true = determined_products(truth)
     return {
         k: np.abs(v - true[k]).max() / np.abs(true[k]).max()
@@ -41,7 +41,7 @@ def errors(found: st.Scene, truth: st.Scene) -> dict[str, float]:
         pytest.param(128, 1, {}, id="antialiased with reflections, large", marks=pytest.mark.slow),
     ],
 )
-def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, antialias, options):
+def test_nine_spheres_from_wrong_start(size, antialias, options):
     lecture = nine_spheres(LIGHT)
     truth = with_random_colors(lecture.with_antialias(antialias))
     target = st.render(truth, width=size, height=size, **options)
@@ -52,7 +52,7 @@ def test_the_nine_spheres_come_back_to_1e_8_from_a_wrong_start(size, antialias, 
     assert found.cost < 1e-15 and found.left_out == 0
 
 
-def test_colours_on_their_bounds_are_found_and_never_left():
+def test_colors_on_bounds():
     truth = nine_spheres(LIGHT)  # green and blue are 0, the first ks too
     noise = 0.01 * np.random.default_rng(0).standard_normal((64, 64, 3))
     target = st.render(truth, width=64, height=64, **PLAIN) + noise
@@ -78,7 +78,7 @@ def test_bounds_are_left_again(bound):
     assert found.converged and max(errors(found.scene, truth).values()) < 1e-8
 
 
-def test_float32_reaches_float32():
+def test_float32_accuracy():
     truth = with_random_colors(nine_spheres(LIGHT, np.float32))
     target = st.render(truth, width=64, height=64, **PLAIN)
     found = st.fit(wrong_start(truth), target, **PLAIN)
@@ -97,7 +97,7 @@ def test_float32_reaches_float32():
         ("shadows", ("ks", "exponent"), lambda s: [s.spheres.ks, s.spheres.exponent]),
     ],
 )
-def test_other_parameters_come_back_too(name, free, places):
+def test_other_parameters(name, free, places):
     truth = SCENES[name]
     target = st.render(truth, bounces=2, **SIZE)
     start = eqx.tree_at(places, truth, [0.6 * x + 0.1 for x in places(truth)])
@@ -107,14 +107,14 @@ def test_other_parameters_come_back_too(name, free, places):
         np.testing.assert_allclose(value, true, rtol=1e-7, atol=1e-9)
 
 
-def test_mirrors_are_found_where_the_start_has_none():
+def test_mirrors_from_none():
     truth = SCENES["mirrors"]
     blank = eqx.tree_at(lambda s: s.spheres.kgr, truth, jnp.zeros(3))
     found = st.fit(blank, st.render(truth, bounces=2, **SIZE), free=("kgr",), bounces=2)
     np.testing.assert_allclose(found.scene.spheres.kgr, truth.spheres.kgr, atol=1e-9)
 
 
-def test_what_is_not_free_stays_to_the_last_bit():
+def test_fixed_parameters_stay():
     truth = nine_spheres(LIGHT)
     found = st.fit(wrong_start(truth), st.render(truth, **SIZE, **PLAIN), free=("ks",), **PLAIN)
     start = wrong_start(truth)
@@ -122,7 +122,7 @@ def test_what_is_not_free_stays_to_the_last_bit():
     assert eqx.tree_equal(changed, start)
 
 
-def test_ka_is_kept_at_its_start_where_the_colour_allows_it():
+def test_ka_stays_where_color_allows():
     truth = with_random_colors(nine_spheres(LIGHT))
     target = st.render(truth, **SIZE, **PLAIN)
     found = st.fit(wrong_start(truth), target, **PLAIN).scene.spheres
@@ -133,7 +133,7 @@ def test_ka_is_kept_at_its_start_where_the_colour_allows_it():
     assert (kept | full).all()
 
 
-def test_clipped_pixels_are_left_out_and_do_no_harm(tmp_path):
+def test_clipped_pixels(tmp_path):
     truth = nine_spheres(LIGHT)
     truth = eqx.tree_at(lambda s: s.lights.color, truth, 1.5 * truth.lights.color)
     picture = st.render(truth, width=64, height=64, **PLAIN)
@@ -149,7 +149,7 @@ def test_clipped_pixels_are_left_out_and_do_no_harm(tmp_path):
     assert errors(naive.scene, truth)["light_position"] > 5e-3
 
 
-def test_numbers_at_1_count_in_pictures_that_go_beyond():
+def test_ones_count_below_brighter_pixels():
     picture = np.full((2, 2, 3), 0.5)
     picture[0, 0] = 1.0
     assert make_target(picture, np.dtype(np.float64)).counted == 9
@@ -160,7 +160,7 @@ def test_numbers_at_1_count_in_pictures_that_go_beyond():
 @pytest.mark.parametrize(
     "solver", [optx.Dogleg, optx.GaussNewton, optx.LevenbergMarquardt, optx.BFGS]
 )
-def test_solvers_of_optimistix_can_be_chosen(solver):
+def test_optimistix_solvers(solver):
     truth = with_random_colors(nine_spheres(LIGHT))
     target = st.render(truth, **SIZE, **PLAIN)
     start = eqx.tree_at(lambda s: s.spheres.color, truth, jnp.full((9, 3), 0.5))
@@ -172,7 +172,7 @@ def test_solvers_of_optimistix_can_be_chosen(solver):
 @pytest.mark.parametrize(
     "solver", [optx.OptaxMinimiser(optax.adam(0.03), 1e-6, 1e-6), optx.NelderMead(1e-4, 1e-4)]
 )
-def test_solvers_whose_states_are_of_another_kind_can_be_chosen(solver):
+def test_other_solvers(solver):
     truth, seen = three_apart([900.0, -400, 700]), dict(width=24, height=24, bounces=0)
     target = st.render(truth, **seen)
     start = eqx.tree_at(lambda s: s.spheres.ka, truth, truth.spheres.ka * 0.5)
@@ -187,7 +187,7 @@ def test_solvers_whose_states_are_of_another_kind_can_be_chosen(solver):
     np.testing.assert_allclose(found.scene.spheres.ka, truth.spheres.ka, atol=0.01)
 
 
-def test_a_fit_that_runs_out_of_steps_says_so():
+def test_out_of_steps():
     truth = nine_spheres(LIGHT)
     target = st.render(truth, **SIZE, **PLAIN)
     found = st.fit(wrong_start(truth), target, max_steps=2, **PLAIN)
@@ -197,7 +197,7 @@ def test_a_fit_that_runs_out_of_steps_says_so():
         st.fit(wrong_start(truth), target, max_steps=1, throw=True, **PLAIN)
 
 
-def test_an_interrupted_fit_keeps_the_best_scene_so_far():
+def test_interrupted_fit():
     truth = nine_spheres(LIGHT)
     target = st.render(truth, **SIZE, **PLAIN)
 
@@ -222,24 +222,24 @@ def test_an_interrupted_fit_keeps_the_best_scene_so_far():
         (np.full((4, 4, 3), 100, np.uint8), "floating numbers, as read_image gives, got uint8"),
     ],
 )
-def test_targets_of_no_use_are_refused(target, message):
+def test_bad_targets(target, message):
     with pytest.raises(st.PictureError, match=message):
         st.fit(nine_spheres(), target)
 
 
 @pytest.mark.parametrize("free", [(), ("colour",), ("color", "window"), ("ks", "ks")])
-def test_names_that_cannot_be_free_are_refused(free):
+def test_bad_names(free):
     with pytest.raises(st.InputError, match=r"free parameter"):
         st.fit(nine_spheres(), np.zeros((4, 4, 3)), free=free)
 
 
-def test_what_the_scene_does_not_have_cannot_be_free():
+def test_missing_lights_cannot_be_free():
     dark = st.Scene(nine_spheres().spheres, st.Lights(np.zeros((0, 3))))
     with pytest.raises(st.InputError, match="light_position is free, but the scene has no lights"):
         st.fit(dark, np.zeros((4, 4, 3)))
 
 
-def test_any_number_of_the_solver_stands_for_a_valid_scene():
+def test_unknowns_stand_for_valid_scenes():
     scene, free = (
         SCENES["glass"],
         (

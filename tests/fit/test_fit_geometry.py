@@ -33,7 +33,7 @@ LIGHT = (100.0, 500, 800)
 
 
 def two_over_a_floor(unit: float = 1.0) -> st.Scene:
-    """Two spheres apart over a large one, all lengths in one over `unit`."""
+    """Makes two spheres apart over a large one, all lengths in one over `unit`."""
     spheres = st.Spheres(
         unit * np.array([[-50.0, 10, -10], [50, -30, 60], [0, 0, -1100]]),
         unit * np.array([60.0, 45, 1000]),
@@ -45,7 +45,7 @@ def two_over_a_floor(unit: float = 1.0) -> st.Scene:
 
 
 def with_spheres_off(scene: st.Scene, directions, signs) -> st.Scene:
-    """Centres off by half a radius along x and y, radii off by 30 %."""
+    """Moves centres by half a radius along x and y, and radii by 30 %."""
     s = scene.spheres
     shift = np.pad(np.asarray(directions) / np.sqrt(8), ((0, 0), (0, 1)))
     new = s.center + shift * s.radius[:, None], s.radius * (1 + 0.3 * np.asarray(signs))
@@ -53,46 +53,46 @@ def with_spheres_off(scene: st.Scene, directions, signs) -> st.Scene:
 
 
 def displaced_two(unit: float = 1.0) -> st.Scene:
-    """The two spheres off; the floor stays where it is, but is free too."""
+    """Returns the two spheres displaced; the floor stays where it is, but is free too."""
     return with_spheres_off(two_over_a_floor(unit), [[1, -1], [-1, 1], [0, 0]], [-1, 1, 0])
 
 
 def displaced_nine(scene: st.Scene) -> st.Scene:
-    """The rows along x and y shifted in turn, so that no sphere meets another."""
+    """Shifts the rows along x and y in turn, so that no sphere meets another."""
     i, j = np.divmod(np.arange(9), 3)
     return with_spheres_off(scene, np.stack([(-1) ** j, (-1) ** i], 1), -((-1) ** (i + j)))
 
 
 def turned(scene: st.Scene) -> st.Scene:
-    """The camera 3 degrees off, and 2 % too far and too short."""
+    """Turns the camera by 3 degrees, and moves it 2 % too far and too short."""
     c, turn = scene.camera, np.radians(3)
     camera = st.Camera(c.theta + turn, c.phi + turn, c.mu * 1.02, c.distance * 0.98, c.window)
     return eqx.tree_at(lambda s: s.camera, scene, camera)
 
 
 def sphere_error(found: st.Scene, truth: st.Scene) -> float:
-    """The largest error of a centre or radius, relative to the sphere's radius."""
+    """Returns the largest error of a centre or radius, relative to the sphere's radius."""
     a, b = found.spheres, truth.spheres
     center = np.abs(a.center - b.center) / b.radius[:, None]
     return float(max(center.max(), np.abs(a.radius / b.radius - 1).max()))
 
 
 def camera_error(found: st.Scene, truth: st.Scene) -> float:
-    """The largest error of an angle in radians, or of a length relative to it."""
+    """Returns the largest error of an angle in radians, or of a length relative to it."""
     a, b = found.camera, truth.camera
     lengths = [a.mu / b.mu - 1, a.distance / b.distance - 1]
     return float(np.abs([a.theta - b.theta, a.phi - b.phi, *lengths]).max())
 
 
 @pytest.mark.slow
-def test_centres_and_radii_come_back_to_1e_8():
+def test_centers_and_radii():
     truth = two_over_a_floor()
     found = st.fit(displaced_two(), st.render(truth, **SMALL), free=SPHERES)
     assert found.converged and found.steps <= 40
     assert sphere_error(found.scene, truth) < 1e-8
 
 
-def test_a_fit_starts_with_wider_pixels_where_there_are_enough(monkeypatch):
+def test_coarse_to_fine(monkeypatch):
     truth = two_over_a_floor()
     target, boxes = st.render(truth, **SMALL), []
     looked = driver.normal_at
@@ -112,7 +112,7 @@ def test_a_fit_starts_with_wider_pixels_where_there_are_enough(monkeypatch):
     assert boxes.count(1.0) < 0.75 * alone.steps
 
 
-def test_pixels_are_as_wide_as_the_picture_and_gaps_in_it_allow():
+def test_coarser_problems():
     def boxes(size, gaps=0.0, free=SPHERES):
         mask = np.random.default_rng(0).uniform(size=(size, size)) >= gaps
         scene, black = two_over_a_floor(), np.zeros((size, size, 3))
@@ -125,7 +125,7 @@ def test_pixels_are_as_wide_as_the_picture_and_gaps_in_it_allow():
     assert boxes(240, free=("color", "light_position")) == []
 
 
-def test_a_solver_of_the_users_own_sees_no_wider_pixels(monkeypatch):
+def test_users_solver_stays_fine(monkeypatch):
     monkeypatch.setattr(problem, "_LEAST_BOXES", 1)
     plain = optx.LevenbergMarquardt(1e-8, 1e-8)
     assert not driver.Driver(plain, False, 1e-8, 9, None).coarse_to_fine
@@ -134,7 +134,7 @@ def test_a_solver_of_the_users_own_sees_no_wider_pixels(monkeypatch):
     assert not driver.Driver(own, True, 1e-8, 9, None).coarse_to_fine
 
 
-def test_wider_pixels_are_those_of_a_smaller_picture():
+def test_boxes_are_pixels_of_smaller_picture():
     # ambient light alone, so that no smooth shading is averaged by its neighbours
     scene = eqx.tree_at(
         lambda s: (s.spheres.ka, s.spheres.kd, s.spheres.ks),
@@ -147,7 +147,7 @@ def test_wider_pixels_are_those_of_a_smaller_picture():
     np.testing.assert_allclose(wide[1::3, 1::3], small, atol=1e-12)
 
 
-def test_each_rejected_step_drops_further_than_the_one_before():
+def test_rejected_steps_drop_further():
     search, y = CautiousTrustRegion(), jnp.array([1.0])
     jacobian = lx.MatrixLinearOperator(jnp.eye(1))
     here = optx.FunctionInfo.ResidualJac(y, jacobian)
@@ -165,14 +165,14 @@ def test_each_rejected_step_drops_further_than_the_one_before():
 
 
 @pytest.mark.slow
-def test_the_camera_comes_back_to_1e_8():
+def test_camera():
     truth = two_over_a_floor()
     found = st.fit(turned(truth), st.render(truth, **SMALL), free=CAMERA)
     assert found.converged and found.steps <= 20
     assert camera_error(found.scene, truth) < 1e-8
 
 
-def test_the_solver_is_blind_to_the_unit_of_length():
+def test_unknowns_are_unit_free():
     free = (*SPHERES, *CAMERA, "light_position")
     scenes = [displaced_two(unit) for unit in (1.0, 1e3, 1e-3)]
     numbers = [Parameters(scene, free).start() for scene in scenes]
@@ -182,7 +182,7 @@ def test_the_solver_is_blind_to_the_unit_of_length():
 
 
 @pytest.mark.slow
-def test_a_fit_takes_as_many_steps_in_millimetres_as_in_kilometres():
+def test_steps_are_unit_free():
     steps = set()
     for unit in (1e3, 1e-3):
         target = st.render(two_over_a_floor(unit), **SMALL)
@@ -192,7 +192,7 @@ def test_a_fit_takes_as_many_steps_in_millimetres_as_in_kilometres():
     assert len(steps) == 1
 
 
-def test_geometry_without_antialiasing_is_warned_of():
+def test_warning_without_antialiasing():
     truth = three_spheres()
     with pytest.warns(st.SceneWarning, match="radius, mu free: .*; set antialias to 1") as caught:
         st.fit(truth, np.zeros((4, 4, 3)), free=("color", "radius", "mu"), max_steps=0)
@@ -200,20 +200,20 @@ def test_geometry_without_antialiasing_is_warned_of():
 
 
 @pytest.mark.parametrize("name", ["center", "radius"])
-def test_spheres_that_are_not_there_cannot_be_free(name):
+def test_missing_spheres_cannot_be_free(name):
     nothing = st.Scene(st.Spheres(np.zeros((0, 3)), np.zeros(0)), st.Lights([[0.0, 0, 9]]))
     with pytest.raises(st.InputError, match=f"{name} is free, but the scene has no spheres"):
         st.fit(nothing, np.zeros((4, 4, 3)), free=(name,))
 
 
-def test_lengths_that_have_no_logarithm_cannot_be_free():
+def test_zero_length_cannot_be_free():
     at_the_origin = eqx.tree_at(lambda s: s.camera.mu, two_over_a_floor(), jnp.array(0.0))
     with pytest.raises(st.InputError, match="mu is free: it must start above 0"):
         st.fit(at_the_origin, np.zeros((4, 4, 3)), free=("mu",))
 
 
 @pytest.mark.slow
-def test_the_nine_spheres_come_back_from_their_antialiased_picture():
+def test_nine_spheres_antialiased():
     truth = nine_spheres(LIGHT).with_antialias(1)
     target = st.render(truth, width=256, height=256, **MATTE)
     found = st.fit(displaced_nine(truth), target, free=SPHERES, **MATTE)
@@ -222,7 +222,7 @@ def test_the_nine_spheres_come_back_from_their_antialiased_picture():
 
 
 def depth_and_other_errors(found: st.Scene, truth: st.Scene) -> tuple[float, float]:
-    """The largest error of a centre along the line of sight; across it, or of a radius.
+    """Returns the largest error of a centre along the line of sight; across it, or of a radius.
 
     Both are relative to the sphere's radius.
     """
@@ -237,7 +237,7 @@ def depth_and_other_errors(found: st.Scene, truth: st.Scene) -> tuple[float, flo
 
 
 def fitted_to_rays(displaced, free: tuple[str, ...]) -> tuple[st.Scene, st.Scene]:
-    """The nine spheres, displaced and fitted to their picture of 16 x 16 rays; and the truth."""
+    """Returns the nine spheres, displaced and fitted to 16 x 16 rays a pixel; and the truth."""
     truth = nine_spheres(LIGHT)
     target = st.render(truth, width=256, height=256, samples=16, **MATTE)
     found = st.fit(displaced(truth.with_antialias(1)), target, free=free, **MATTE)
@@ -246,7 +246,7 @@ def fitted_to_rays(displaced, free: tuple[str, ...]) -> tuple[st.Scene, st.Scene
 
 
 @pytest.mark.slow
-def test_the_nine_spheres_come_back_from_a_supersampled_picture():
+def test_nine_spheres_supersampled():
     depth, other = depth_and_other_errors(*fitted_to_rays(displaced_nine, SPHERES))
     assert other < 1e-3
     # the sampling error of 16 x 16 rays alone moves the best depth by 1.8e-3 (docs/edges.md)
@@ -254,12 +254,12 @@ def test_the_nine_spheres_come_back_from_a_supersampled_picture():
 
 
 @pytest.mark.slow
-def test_the_camera_comes_back_from_a_supersampled_picture_of_the_nine_spheres():
+def test_camera_supersampled():
     assert camera_error(*fitted_to_rays(turned, CAMERA)) < 1e-3
 
 
 @pytest.mark.slow
-def test_a_light_is_found_ten_times_nearer_with_antialiasing():
+def test_light_with_and_without_antialiasing():
     # single rays came to 4.9 units before their fits looked past shadows a second time; 0.5 now
     size = dict(width=96, height=96)
     target = st.render(three_spheres(), samples=16, **size)

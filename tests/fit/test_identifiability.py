@@ -1,78 +1,26 @@
-"""What pictures determine, of scenes that are made so that it is known beforehand."""
-
-import warnings
+"""Identifiability of scenes that are made so that what their pictures determine is known."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.identifiability import (
+    BEHIND,
+    FAR_AWAY,
+    HIDDEN,
+    LIGHTS,
+    SIDE,
+    SIZE,
+    check,
+    fit_at,
+    scales,
+    scene,
+    without,
+)
 from jax.flatten_util import ravel_pytree
 
 import spheretrace_jax as st
-
-SIZE = dict(width=32, height=24)
-LIGHTS = [[100.0, 200, 400], [-200, 50, 300]]
-BEHIND = [[100.0, 200, -4000], [0, 0, -3000]]
-SIDE = [[-400.0, 0, 40], [-500, 0, 60]]  # from here sphere 2 is in the shadow of sphere 1
-FAR_AWAY = [1e4, 0, 0]
-RED, GREEN = [0.8, 0.3, 0.2], [0.2, 0.7, 0.4]
-
-
-def scene(dtype=np.float64, camera=(-np.pi / 2, 0.1), planes=None, background=0.0, **changes):
-    """Sphere 1 on the left, 2 on the right, 3 small above, all lit by two lights from above.
-
-    **Arguments:** `changes`: of the spheres, `lights` and `light_color`.
-    """
-    parts = (
-        dict(
-            center=[[-40.0, 0, 0], [45, 10, 0], [0, 45, 60]],
-            radius=[35.0, 30, 15],
-            color=[RED, GREEN, [0.5, 0.5, 0.9]],
-            ka=[0.2, 0.15, 0.3],
-            kd=[0.6, 0.7, 0.5],
-            ks=[0.4, 0.2, 0.5],
-            exponent=[5.0, 10, 3],
-            lights=LIGHTS,
-            light_color=[[0.5, 0.6, 0.3], [0.4, 0.2, 0.5]],
-        )
-        | changes
-    )
-    lights = st.Lights(parts.pop("lights"), parts.pop("light_color"))
-    planes = None if planes is None else st.Planes(*planes)
-    background = np.broadcast_to(background, 3)
-    eye = st.Camera(*camera, 500.0, 800.0, 200.0)
-    return st.Scene(st.Spheres(**parts), lights, eye, planes, (), background).astype(dtype)
-
-
-def found(truth, free, target=None, **options) -> st.Fit:
-    """The fit that starts, and stays, at the scene that its picture was made of."""
-    target = st.render(truth, bounces=0, **SIZE) if target is None else target
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*set antialias to 1")
-        return st.fit(truth, target, free=free, bounces=0, max_steps=0, **options)
-
-
-def check(fit: st.Fit, nullity: int, words: set[str]) -> None:
-    known = fit.identifiability
-    assert set(known.undetermined) == words
-    assert known.free - known.rank == nullity
-    assert known.free == ravel_pytree(fit.values)[0].size
-
-
-def without(row: int, value, name: str):
-    """The default numbers of a name, but those of one sphere."""
-    numbers = np.array(getattr(scene().spheres, name))
-    numbers[row] = value
-    return {name: numbers}
-
-
-HIDDEN = without(1, [-56, 20, -199], "center") | without(1, 20, "radius")  # by sphere 1
-
-
-def scales(*spheres: int, of: str = "ka and kd") -> set[str]:
-    return {f"sphere {i}: the scale of color against {of} is not determined" for i in spheres}
-
 
 LOOKS = ("color", "ka", "kd", "ks", "exponent", "light_position")
 ALL_OF_IT = "color, exponent, ka, kd and ks not determined"
@@ -160,18 +108,18 @@ LOOKS_CASES = {
 @pytest.mark.parametrize("case", LOOKS_CASES)
 def test_looks(case):
     changes, nullity, words = LOOKS_CASES[case]
-    check(found(scene(**changes), LOOKS), nullity, words)
+    check(fit_at(scene(**changes), LOOKS), nullity, words)
 
 
-def test_spheres_where_the_target_does_not_count():
+def test_masked_spheres():
     left = np.arange(SIZE["width"]) < 16
     mask = np.broadcast_to(left, (SIZE["height"], SIZE["width"]))
     words = {f"sphere 2 is not visible where the target counts: {ALL_OF_IT}"}
-    check(found(scene(), LOOKS, mask=mask), 9, words | scales(1, 3))
+    check(fit_at(scene(), LOOKS, mask=mask), 9, words | scales(1, 3))
     # the three numbers of one more pixel tell three of its seven
     mask = mask.copy()
     mask[10, 24] = True
-    known = found(scene(), LOOKS, mask=mask).identifiability
+    known = fit_at(scene(), LOOKS, mask=mask).identifiability
     assert known.free - known.rank == 6
     others = set(known.undetermined) - scales(1, 2, 3)
     assert len(known.undetermined) - len(others) == 3 and others
@@ -218,10 +166,10 @@ def test_shades(case, double):
     changes, nullity, words = SHADES_CASES[case]
     with jax.enable_x64(double):
         truth = scene(np.float64 if double else np.float32, **changes)
-        check(found(truth, SHADES), nullity, words)
+        check(fit_at(truth, SHADES), nullity, words)
 
 
-def test_a_fit_from_elsewhere():
+def test_after_a_fit():
     truth = scene(ka=[0.0, 0.2, 0.3])
     start = scene(
         ka=[0.0, 0.2, 0.3], color=0.5 * np.ones(3), kd=0.5, ks=0.5, exponent=5.0,
@@ -233,14 +181,14 @@ def test_a_fit_from_elsewhere():
     check(fit, 1, scales(1, of="kd"))
 
 
-def test_what_drowns_in_the_noise_is_told_apart_from_what_does_not_show():
+def test_weak_is_not_undetermined():
     one_far = scene(lights=[LIGHTS[0], [-2e5, -1e5, 1e6]])
     for truth, noise, weak in (
         (scene(), 0.001, []),
         (one_far, 0.001, ["light 2: distance undetermined, direction known to 0.0"]),
         (scene(), 10, ["light 1's position is lost", "light 2's position is lost"]),
     ):
-        fit = found(truth, SHADES, noise=noise)
+        fit = fit_at(truth, SHADES, noise=noise)
         check(fit, 0, set())
         lights = [w for w in fit.identifiability.weak if w.startswith("light")]
         assert len(lights) == len(weak)
@@ -250,16 +198,16 @@ def test_what_drowns_in_the_noise_is_told_apart_from_what_does_not_show():
 
 
 def shown(s: st.Scene) -> jax.Array:
-    """What a picture determines of the spheres and the lights, flat."""
+    """Returns what a picture determines of the spheres and the lights, flat."""
     s, lights = s.spheres, s.lights.position
     products = s.ka[:, None] * s.color, s.kd[:, None] * s.color
     return jnp.concatenate([x.reshape(-1) for x in (*products, s.ks, s.exponent, lights)])
 
 
-def test_products_have_an_uncertainty_where_their_factors_have_none():
+def test_uncertainty_of_products():
     truth = scene()
     noise = 0.01
-    fit = found(truth, LOOKS, noise=noise)
+    fit = fit_at(truth, LOOKS, noise=noise)
     spread = fit.uncertainty.standard_deviations
     for name in ("color", "ka", "kd"):
         assert np.isinf(spread[name]).all()
@@ -287,230 +235,10 @@ def test_products_have_an_uncertainty_where_their_factors_have_none():
     assert np.abs(apart).max() < 1e-8
 
 
-def test_the_step_that_the_solver_did_not_take_counts():
+def test_uncertainty_counts_remaining_step():
     truth = scene()
     target = st.render(truth, bounces=0, **SIZE)
     start = eqx.tree_at(lambda s: s.spheres.ks, truth, truth.spheres.ks + 0.05)
-    fit = found(start, ("ks",), target, noise=1e-6)  # linear: one step would do
+    fit = fit_at(start, ("ks",), target, noise=1e-6)  # linear: one step would do
     spread = fit.uncertainty.standard_deviations["ks"]
     np.testing.assert_allclose(spread, 0.05, rtol=1e-3)
-
-
-PRODUCTS = ("color", "ka", "kd", "ks", "light_color", "exposure")
-BACKGROUND = (0.1, 0.2, 0.3)  # where it is seen, it tells the exposure
-WALL = dict(center=[[-40, 0, 0], [45, 10, 0], [0, 0, -1100]], radius=[35, 30, 1000])
-AGAINST_WEIGHTS = "the lights' color against the spheres' ka, kd and ks is not determined"
-SHARE = "lights 1 and 2 are at one place: how they share their color is not determined"
-
-
-def channels(up: str, down: str, names: str = "red green blue", of: str = "") -> set[str]:
-    return {f"{up} against {down} is not determined in {c}{of}" for c in names.split()}
-
-
-PRODUCTS_CASES = {
-    "a background": ({}, 4, scales(1, 2, 3) | {AGAINST_WEIGHTS}),
-    "a wall": (
-        WALL,
-        7,
-        scales(1, 2, 3) | channels("the exposure", "the lights' color") | {AGAINST_WEIGHTS},
-    ),
-    "a background without red": (
-        dict(background=(0, 0.2, 0.3)),
-        5,
-        scales(1, 2, 3) | channels("the exposure", "the lights' color", "red") | {AGAINST_WEIGHTS},
-    ),
-    # the scales of light in all channels and of ka and kd say the same
-    "matte": (
-        dict(ks=0.0),
-        6,
-        scales(1, 2, 3) | channels("the lights' color", "the spheres' color"),
-    ),
-    "matte before a wall": (
-        WALL | dict(ks=0.0),
-        9,
-        scales(1, 2, 3)
-        | channels("the exposure", "the lights' color")
-        | channels("the exposure", "the spheres' color"),
-    ),
-    "matte before a background without red": (
-        dict(ks=0.0, background=(0, 0.2, 0.3)),
-        7,
-        scales(1, 2, 3)
-        | channels("the exposure", "the lights' color", "red")
-        | channels("the exposure", "the spheres' color", "red")
-        | channels("the lights' color", "the spheres' color", "green blue"),
-    ),
-    "two lights at one place": (
-        dict(lights=[LIGHTS[0]] * 2),
-        7,
-        scales(1, 2, 3) | {AGAINST_WEIGHTS, SHARE},
-    ),
-    # its colour shows in the ambient light
-    "a light from behind": (
-        dict(lights=[LIGHTS[0], BEHIND[1]]),
-        5,
-        scales(1, 2, 3)
-        | {
-            AGAINST_WEIGHTS,
-            "light 2 reaches nothing that is seen: its color against the spheres' ka is not "
-            "determined",
-        },
-    ),
-    "lit from behind": (
-        dict(lights=BEHIND),
-        15,
-        {
-            f"no light reaches what is seen of sphere {i}: kd and ks not determined"
-            for i in (1, 2, 3)
-        }
-        | scales(1, 2, 3, of="ka")
-        | channels("the lights' color", "the spheres' color")
-        | {
-            "lights 1 and 2 reach nothing that is seen: how they share their color is not "
-            "determined"
-        },
-    ),
-    "matte and nowhere green": (
-        dict(ks=0.0, color=[[0.5, 0, 0], [0.2, 0, 0.4], [0.1, 0, 0]]),
-        7,
-        {f"light {i} does not show: color in green not determined" for i in (1, 2)}
-        | scales(1, 2, 3)
-        | channels("the lights' color", "the spheres' color", "red blue"),
-    ),
-    "nothing but a background without blue": (
-        dict(center=[[1e4, 0, 0], [2e4, 0, 0], [3e4, 0, 0]], background=(0.1, 0.2, 0)),
-        25,
-        {f"sphere {i} is not visible: color, ka, kd and ks not determined" for i in (1, 2, 3)}
-        | {f"light {i} reaches nothing that is seen: color not determined" for i in (1, 2)}
-        | {"the blue exposure is not determined"},
-    ),
-}
-
-
-@pytest.mark.parametrize("case", PRODUCTS_CASES)
-def test_products(case):
-    changes, nullity, words = PRODUCTS_CASES[case]
-    truth = scene(**(dict(background=BACKGROUND) | changes))
-    check(found(truth, PRODUCTS), nullity, words)
-
-
-GEOMETRY = ("center", "radius", "light_position", "theta", "phi", "mu")
-SCALE = "the scale of the world is not determined"
-WORLD = {f"the camera's {name} against the world is not determined" for name in GEOMETRY[3:]}
-SMALL = {
-    name: np.asarray(getattr(scene().spheres, name))[:2]
-    for name in ("center", "radius", "color", "ka", "kd", "ks", "exponent")
-} | dict(lights=LIGHTS[:1], light_color=[[0.5, 0.6, 0.3]])
-AWAY = [0.0, 0, 2000], [0.0, 0, 1]  # behind the eye and the lights
-FLOOR = [0.0, 0, -80], [0.0, 0, 1]
-SLOPE = [0.0, 0, -80], [0.1, 0.2, 1]
-STEP = [0.0, -60, 0], [0.0, 1, 0]
-
-WORLD_CASES = {
-    "no plane in sight": ((AWAY, AWAY), {}, 4, WORLD | {SCALE}),
-    # as seen from where the camera's axis meets it
-    "a plane across the pole": (
-        (FLOOR, AWAY),
-        {},
-        2,
-        {SCALE, "the camera's theta against the world is not determined"},
-    ),
-    "an oblique plane": ((SLOPE, AWAY), {}, 1, {SCALE}),
-    "two planes": ((FLOOR, STEP), {}, 0, set()),
-    # theta's derivative is not 0 but a rounding error
-    "all on the axis of the poles": (
-        (AWAY, AWAY),
-        dict(center=[[0, 0, 0], FAR_AWAY], lights=[[0.0, 0, 900]]),
-        8,
-        {
-            "sphere 2 is not visible: center and radius not determined",
-            "the camera's theta is not determined",
-            "the camera's phi against the world is not determined",
-            "the camera's mu against the world is not determined",
-            SCALE,
-        },
-    ),
-}
-
-
-@pytest.mark.parametrize("case", WORLD_CASES)
-def test_the_world_moves_with_the_eye_if_no_plane_stays(case):
-    planes, changes, nullity, words = WORLD_CASES[case]
-    planes = [list(x) for x in zip(*planes, strict=True)]
-    check(found(scene(planes=planes, **(SMALL | changes)), GEOMETRY), nullity, words)
-
-
-@pytest.mark.slow
-def test_the_world_moves_with_the_eye_where_edges_are_covered():
-    truth = scene(**SMALL | dict(center=[[-40, 0, 0], [0, 20, 70]], ks=0.0)).with_antialias(1)
-    check(found(truth, GEOMETRY), 4, WORLD | {SCALE})
-
-
-SEVERAL = ("kd", "ks", "light_color", "exposure")
-
-
-def two_pictures(second_camera=(-np.pi / 2, 0.1), **changes) -> list[st.Scene]:
-    """Of two lights, and of one other; colours and ka are known."""
-    other = dict(lights=[[-100.0, 300, 300]], light_color=[[0.7, 0.8, 0.9]])
-    first = dict(background=BACKGROUND) | changes
-    return [scene(**first), scene(camera=second_camera, **(first | other))]
-
-
-PICTURES_CASES = {
-    "plain": (two_pictures(), (), 0, set()),
-    "one background clipped": (
-        two_pictures(),
-        (1,),
-        3,
-        channels("the exposure", "the lights' color", of=" of picture 2"),
-    ),
-    "both backgrounds clipped": (
-        two_pictures(),
-        (0, 1),
-        6,
-        channels("the exposure", "the lights' color", of=" of picture 1")
-        | channels("the exposure", "the lights' color", of=" of picture 2"),
-    ),
-    "two lights at one place": (
-        two_pictures(lights=[LIGHTS[0]] * 2),
-        (),
-        3,
-        {SHARE.replace(" are", " of picture 1 are")},
-    ),
-    "a light from behind": (two_pictures(lights=[LIGHTS[0], BEHIND[1]]), (), 0, set()),
-    "no ambient light": (
-        two_pictures(ka=0.0),
-        (),
-        1,
-        {"the lights' color against the spheres' kd and ks is not determined"},
-    ),
-    "a light from behind, no ambient light": (
-        two_pictures(lights=[LIGHTS[0], BEHIND[1]], ka=0.0),
-        (),
-        4,
-        {
-            "the lights' color against the spheres' kd and ks is not determined",
-            "light 2 of picture 1 reaches nothing that is seen: color not determined",
-        },
-    ),
-    "a sphere in one of them only": (
-        two_pictures((-np.pi / 2, 0.4), **HIDDEN),
-        (),
-        0,
-        set(),
-    ),
-}
-
-
-@pytest.mark.parametrize("case", PICTURES_CASES)
-def test_several_pictures(case):
-    truth, clipped, nullity, words = PICTURES_CASES[case]
-    target = [np.array(st.render(s, bounces=0, **SIZE)) for s in truth]
-    assert all(picture.max() < 1 for picture in target)
-    for k in clipped:
-        target[k][(target[k] == BACKGROUND).all(axis=-1)] = 1
-    fit = found(truth, SEVERAL, target, own=("light_color",))
-    check(fit, nullity, words)
-    spread = fit.uncertainty.standard_deviations
-    assert spread["light_color"].shape == (2, 2, 3) and spread["exposure"].shape == (2, 3)
-    assert (np.isnan(spread["light_color"]) == [[[False]] * 2, [[False], [True]]]).all()

@@ -1,4 +1,4 @@
-"""Lights' positions as points of projective space: charts, and fits that are blind to the unit."""
+"""Light positions in projective coordinates, and fits that are blind to the unit of length."""
 
 import equinox as eqx
 import jax
@@ -18,8 +18,8 @@ DTYPES = (np.float64, np.float32)
 INFINITY = 1e7
 
 
-def chart(far: float, dtype=np.float64, unit: float = 1.0) -> tuple[LightPosition, jax.Array]:
-    """The chart around a light at some distance, and the light."""
+def coordinates(far: float, dtype=np.float64, unit: float = 1.0) -> tuple[LightPosition, jax.Array]:
+    """Returns the coordinates around a light at a distance in sizes, and the light."""
     light, middle, size = (
         jnp.asarray(unit * x, dtype) for x in (MIDDLE + far * SIZE * ALONG, MIDDLE, SIZE)
     )
@@ -27,12 +27,12 @@ def chart(far: float, dtype=np.float64, unit: float = 1.0) -> tuple[LightPositio
 
 
 def at_least(around: LightPosition) -> jax.Array:
-    """The bound on the third number, the other two at the start."""
+    """Returns the bound on the third coordinate, the other two at the start."""
     return jnp.zeros_like(around.u).at[2].set(around.lower_bound()[2])
 
 
 def slopes(around: LightPosition, y: jax.Array) -> np.ndarray:
-    """The derivatives of the position, in sizes, and in double precision."""
+    """Returns the derivatives of the position, in sizes, and in double precision."""
     return np.asarray(jax.jacfwd(around.position)(y), np.float64) / float(around.size)
 
 
@@ -43,7 +43,7 @@ def scaled_singular_values(slope: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("far", FAR)
 def test_zero_is_the_start(far, dtype):
-    around, light = chart(far, dtype)
+    around, light = coordinates(far, dtype)
     found = around.position(jnp.zeros(3, dtype))
     assert found.dtype == dtype
     np.testing.assert_allclose(found, light, rtol=3 * np.finfo(dtype).eps)
@@ -51,8 +51,8 @@ def test_zero_is_the_start(far, dtype):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("far", [*FAR, 1e7, 1e15, 1e30])
-def test_derivatives_are_finite_and_of_full_rank(far, dtype):
-    around, _ = chart(far, dtype)
+def test_derivatives_have_full_rank(far, dtype):
+    around, _ = coordinates(far, dtype)
     rng = np.random.default_rng(0)
     # beyond the bound, too, where solvers without bounds may look
     places = [np.zeros(3), *rng.normal(0, 0.5, (5, 3)), *rng.normal(0, 3, (5, 3))]
@@ -64,8 +64,8 @@ def test_derivatives_are_finite_and_of_full_rank(far, dtype):
 
 
 @pytest.mark.parametrize("far", FAR)
-def test_at_the_start_two_numbers_turn_the_light_and_one_moves_it_away(far):
-    around, _ = chart(far)
+def test_coordinates_at_start(far):
+    around, _ = coordinates(far)
     slope = slopes(around, jnp.zeros(3))
     w = 1 / np.hypot(1, far)
     np.testing.assert_allclose(np.linalg.norm(slope, axis=0), [1 / w, 1 / w, 1 / w**2], rtol=1e-14)
@@ -76,8 +76,8 @@ def test_at_the_start_two_numbers_turn_the_light_and_one_moves_it_away(far):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("far", [0.01, 1.0, 30.0, 1e6, 1e7])
-def test_derivatives_are_those_of_central_differences(far, dtype):
-    around, _ = chart(far)
+def test_derivatives_by_differences(far, dtype):
+    around, _ = coordinates(far)
     rng = np.random.default_rng(1)
     w = 1 / np.hypot(1, far)
     for _ in range(4):
@@ -89,7 +89,7 @@ def test_derivatives_are_those_of_central_differences(far, dtype):
             (around.position(jnp.asarray(y + d)) - around.position(jnp.asarray(y - d))) / SIZE
             for d in np.diag(h)
         ]
-        slope = slopes(chart(far, dtype)[0], jnp.asarray(y, dtype))
+        slope = slopes(coordinates(far, dtype)[0], jnp.asarray(y, dtype))
         expected = np.stack(apart, axis=1) / (2 * h)
         largest = np.abs(expected).max(0)
         tolerance = 1e-8 if dtype == np.float64 else 1e-5
@@ -98,8 +98,8 @@ def test_derivatives_are_those_of_central_differences(far, dtype):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("far", [0.01, 1.0, 30.0, 1e3, 1e6])
-def test_at_the_bound_the_light_is_very_far_and_can_come_back(far, dtype):
-    around, _ = chart(far, dtype)
+def test_light_at_bound(far, dtype):
+    around, _ = coordinates(far, dtype)
     y = at_least(around)
     away = (np.asarray(around.position(y), np.float64) - MIDDLE) / SIZE
     assert np.isfinite(away).all() and np.linalg.norm(away) > 0.5 * INFINITY
@@ -114,19 +114,19 @@ def test_at_the_bound_the_light_is_very_far_and_can_come_back(far, dtype):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_a_light_beyond_infinity_starts_at_the_bound(dtype):
+def test_light_beyond_infinity(dtype):
     for far in (1e8, 1e15, 1e30, *([1e160] if dtype == np.float64 else [])):
-        around, _ = chart(far, dtype)
+        around, _ = coordinates(far, dtype)
         assert around.lower_bound()[2] == 0
         away = (np.asarray(around.position(jnp.zeros(3, dtype)), np.float64) - MIDDLE) / SIZE
         np.testing.assert_allclose(away / INFINITY, ALONG, rtol=1e-6)
 
 
-def test_a_light_at_the_middle_has_no_direction_to_be_bounded_in():
-    around, _ = chart(0.0)
+def test_light_at_middle_is_unbounded():
+    around, _ = coordinates(0.0)
     assert (around.lower_bound() == -jnp.inf).all()
     assert (around.position(jnp.zeros(3)) == MIDDLE).all()
-    # derivatives by the chart itself, as `solution` takes them, have no 0/0 either
+    # derivatives by the coordinates themselves, as `solution` takes them, have no 0/0 either
     tangent = jax.tree.map(jnp.ones_like, around)
     _, slope = jax.jvp(lambda c: c.position(jnp.ones(3)), (around,), (tangent,))
     assert np.isfinite(slope).all()
@@ -136,8 +136,8 @@ def test_a_light_at_the_middle_has_no_direction_to_be_bounded_in():
 
 @pytest.mark.parametrize("unit", [1e3, 1e-3])
 @pytest.mark.parametrize("far", [0.0, 0.01, 1.0, 30.0, 1e6])
-def test_the_chart_is_blind_to_the_unit_of_length(far, unit):
-    (one, _), (other, _) = chart(far), chart(far, unit=unit)
+def test_coordinates_are_unit_free(far, unit):
+    (one, _), (other, _) = coordinates(far), coordinates(far, unit=unit)
     y = jnp.asarray([0.3, -0.2, 0.1])
     numbers = slopes(one, y)
     largest = np.abs(numbers).max()
@@ -146,7 +146,7 @@ def test_the_chart_is_blind_to_the_unit_of_length(far, unit):
 
 
 def scaled(scene: st.Scene, unit: float) -> st.Scene:
-    """The same scene, its lengths so many times as large."""
+    """Returns the scene with lengths `unit` times as large."""
     lengths = lambda s: (
         s.spheres.center, s.spheres.radius, s.lights.position,
         s.camera.mu, s.camera.distance, s.camera.window,
@@ -159,7 +159,7 @@ PLAIN = dict(bounces=0, samples=1)
 SMALL = dict(width=32, height=32)
 
 
-def test_a_fit_takes_the_same_steps_in_millimetres_as_in_kilometres():
+def test_fit_steps_are_unit_free():
     target = np.array(st.render(TRUTH, **SMALL, **PLAIN))
     # with noise and a coarse tolerance all costs and steps are far above rounding errors
     target += 0.01 * np.random.default_rng(0).standard_normal(target.shape)
@@ -175,14 +175,14 @@ def test_a_fit_takes_the_same_steps_in_millimetres_as_in_kilometres():
         np.testing.assert_allclose(position, one.scene.lights.position, rtol=1e-9)
 
 
-def test_a_light_comes_back_from_infinity():
+def test_fit_from_infinity():
     far = eqx.tree_at(lambda s: s.lights.position, TRUTH, 1e12 * TRUTH.lights.position)
     found = st.fit(far, st.render(TRUTH, **SMALL, **PLAIN), **PLAIN)
     assert found.converged
     np.testing.assert_allclose(found.scene.lights.position, TRUTH.lights.position, rtol=1e-8)
 
 
-def test_a_light_at_infinity_is_found():
+def test_fit_to_infinity():
     far = eqx.tree_at(lambda s: s.lights.position, TRUTH, 1e9 * TRUTH.lights.position)
     target = st.render(far, **SMALL, **PLAIN)
     found = st.fit(wrong_start(TRUTH), target, **PLAIN)

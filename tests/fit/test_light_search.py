@@ -1,4 +1,4 @@
-"""Fits from nothing: the geometry is known, and how many lights there are."""
+"""The search for lights: fits whose geometry and number of lights are known."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ SIZE = dict(width=64, height=64)
 
 
 def grey(truth: st.Scene) -> st.Scene:
-    """The geometry alone: everything that is free is the same, and the lights are at one place."""
+    """Returns the geometry alone: all that is free is the same, all lights are at one place."""
     s = truth.spheres
     places = lambda x: (
         x.spheres.color, x.spheres.ka, x.spheres.kd, x.spheres.ks, x.lights.position,
@@ -37,7 +37,7 @@ def grey(truth: st.Scene) -> st.Scene:
         pytest.param(world([900.0, -400, 700], [-600, 100, 900]), id="in shadow of one another"),
     ],
 )
-def test_everything_is_found_from_nothing(truth):
+def test_start_from_nothing(truth):
     target = st.render(truth, **SIZE, **PLAIN)
     found = st.fit(grey(truth), target, start="auto", **PLAIN)
     assert found.converged and found.trust.ok
@@ -48,7 +48,7 @@ def test_everything_is_found_from_nothing(truth):
     np.testing.assert_allclose(a["light_position"][order], b["light_position"], rtol=1e-6)
 
 
-def test_from_lights_that_are_near_few_steps_are_left():
+def test_start_from_lights():
     truth = world([900.0, -400, 700])
     target = st.render(truth, **SIZE, **PLAIN)
     plain, projected = (st.fit(grey(truth), target, start=s, **PLAIN) for s in ("scene", "lights"))
@@ -58,7 +58,7 @@ def test_from_lights_that_are_near_few_steps_are_left():
         np.testing.assert_allclose(at, truth.lights.position, rtol=1e-8)
 
 
-def test_lights_are_looked_for_first_where_all_at_once_explains_nothing():
+def test_starts_of_separable_problems():
     target = np.full((8, 8, 3), 0.5)
     starts = lambda scene, free, bounces=0: list(
         problem_starts(make_problem(scene, target, free, bounces=bounces), "scene")
@@ -71,13 +71,13 @@ def test_lights_are_looked_for_first_where_all_at_once_explains_nothing():
     assert len(starts(scene, (*free, "radius"))) == 1
 
 
-def test_spheres_out_of_sight_start_as_they_are():
+def test_invisible_spheres_stay():
     away = eqx.tree_at(lambda s: s.spheres.center, world([9.0, 9, 9]), jnp.full((3, 3), 1e4))
     found = st.fit(away, np.full((8, 8, 3), 0.5), bounces=0, max_steps=20)
     assert eqx.tree_equal(found.scene.spheres, away.spheres) and not found.trust.ok
 
 
-def test_what_is_known_is_used_and_kept():
+def test_fixed_parameters_are_used():
     truth = world([900.0, -400, 700])
     known = eqx.tree_at(lambda s: s.lights.position, truth, jnp.asarray([[0.0, 0, 900]]))
     target = st.render(truth, **SIZE, **PLAIN)
@@ -87,7 +87,7 @@ def test_what_is_known_is_used_and_kept():
 
 
 @pytest.mark.slow
-def test_a_picture_of_something_else_is_not_trusted():
+def test_picture_of_another_scene():
     truth = world([900.0, -400, 700])
     other = eqx.tree_at(lambda s: s.spheres.center, truth, truth.spheres.center[::-1])
     target = st.render(other, **SIZE, **PLAIN)
@@ -108,6 +108,6 @@ def test_a_picture_of_something_else_is_not_trusted():
     ],
 )
 @pytest.mark.filterwarnings("ignore:radius free")
-def test_starts_that_cannot_be_are_refused(scene, settings, message):
+def test_bad_starts(scene, settings, message):
     with pytest.raises(st.InputError, match=message):
         st.fit(scene, np.full((8, 8, 3), 0.5), **(dict(start="auto") | settings))

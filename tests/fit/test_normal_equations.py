@@ -1,4 +1,4 @@
-"""J^T J and J^T r, summed in one pass, are those of the whole Jacobian."""
+"""Normal equations, summed in one pass, against those of the dense Jacobian."""
 
 import equinox as eqx
 import jax
@@ -54,10 +54,10 @@ SLOW = {
 }
 
 
-def problem_of(scene, free, options, counts):
+def problem_of(scene, free, settings, counts):
     target = np.random.default_rng(0).uniform(0, 0.9, (20, 24, 3)).astype(scene.dtype)
-    options = dict(samples=1, bounces=0) | options
-    return make_problem(scene, target, free, **options, **counts)
+    settings = dict(samples=1, bounces=0) | settings
+    return make_problem(scene, target, free, **settings, **counts)
 
 
 @eqx.filter_jit
@@ -93,27 +93,27 @@ def check(case):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_sums_are_those_of_the_whole_jacobian(name):
+def test_dense_jacobian(name):
     check(CASES[name])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
-def test_the_sums_are_those_of_the_whole_jacobian_of_more_scenes(name):
+def test_dense_jacobian_slow(name):
     check(SLOW[name])
 
 
-def test_pixels_that_do_not_count_are_not_looked_at():
+def test_masked_pixels_are_skipped():
     mask = np.random.default_rng(0).uniform(size=(20, 24)) < 0.3
     scene = nine_spheres(SHADOWED)
     problem = problem_of(scene, SHADED, {}, dict(mask=mask))
     counts = problem.targets[0].counts
-    lists = bucket_pixels(scene, problem.index(0), problem.settings[0], counts)
-    looked_at = np.asarray(lists.order)[: int(lists.starts[-1])]
-    np.testing.assert_array_equal(np.sort(looked_at), np.flatnonzero(mask))
+    buckets = bucket_pixels(scene, problem.index(0), problem.settings[0], counts)
+    visited = np.asarray(buckets.order)[: int(buckets.starts[-1])]
+    np.testing.assert_array_equal(np.sort(visited), np.flatnonzero(mask))
 
 
-def test_pixels_of_a_replaced_target_count():
+def test_replaced_target():
     scene, mask = nine_spheres(SHADOWED), np.random.default_rng(0).uniform(size=(20, 24)) < 0.3
     whole = problem_of(scene, SHADED, {}, {})
     masked = problem_of(scene, SHADED, {}, dict(mask=mask))
@@ -122,7 +122,7 @@ def test_pixels_of_a_replaced_target_count():
         np.testing.assert_array_equal(a, b)
 
 
-def test_the_compressed_residual_has_the_cost_and_the_derivatives_of_all():
+def test_compressed_residual():
     problem = problem_of(*CASES["one ray"])
     values = problem.start()
     whole = normal(problem, values)
@@ -139,7 +139,7 @@ def test_the_compressed_residual_has_the_cost_and_the_derivatives_of_all():
     np.testing.assert_allclose(off, 0, atol=1e-12 * np.linalg.norm(residual))
 
 
-def test_float32_sums_have_the_digits_of_float32():
+def test_float32_sums():
     double, single = (
         problem_of(nine_spheres(SHADOWED, d), SHADED, {}, {}) for d in (np.float64, np.float32)
     )

@@ -1,4 +1,4 @@
-"""Numbers that do not fit though the others do, and what rests on them."""
+"""Outliers: numbers that do not fit though the others do, and what rests on them."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ PICTURE = np.asarray(st.render(TRUTH, width=64, height=64, **PLAIN))
 
 
 def highlight() -> np.ndarray:
-    """The pixels that show the second sphere's highlight."""
+    """Returns the pixels that show the second sphere's highlight."""
     matte = eqx.tree_at(lambda s: s.spheres.ks, TRUTH, jnp.asarray([0.3, 0]))
     less = PICTURE - np.asarray(st.render(matte, width=64, height=64, **PLAIN))
     return np.argwhere(less[..., 0] > 1e-3)
@@ -38,7 +38,7 @@ def whole():
     return st.fit(start(), PICTURE, **PLAIN)
 
 
-def test_what_rests_on_strays_is_not_trusted():
+def test_unknowns_resting_on_outliers():
     target = PICTURE.copy()
     places = highlight()
     assert 2 <= len(places) <= 12
@@ -52,7 +52,7 @@ def test_what_rests_on_strays_is_not_trusted():
     assert off[tuple(places[::2].T)].all() and not off[:, :30].any()
 
 
-def test_strays_on_which_nothing_rests_are_no_fault():
+def test_harmless_outliers():
     target = PICTURE.copy()
     target[30:33, 20] += 0.002  # of the first sphere, which has enough others
     found = st.fit(start(), target, **PLAIN)
@@ -60,7 +60,7 @@ def test_strays_on_which_nothing_rests_are_no_fault():
     assert found.converged and found.trust.ok
 
 
-def test_what_fits_has_none(whole):
+def test_no_outliers(whole):
     off = find_outliers(whole.problem, whole.values, whole.cost)
     assert not off[0].any() and resting_on_outliers(off, whole.problem, whole.values) == []
     assert whole.trust.ok
@@ -69,7 +69,7 @@ def test_what_fits_has_none(whole):
     assert not find_outliers(found.problem, found.values, found.cost)[0].any() and found.trust.ok
 
 
-def test_where_pixels_are_areas_what_is_left_at_edges_is_no_stray():
+def test_no_outliers_antialiased():
     target = PICTURE + np.random.default_rng(0).standard_cauchy(PICTURE.shape)
     scene = TRUTH.with_antialias(1)
     problem = make_problem(scene, target, ("ks",), bounces=0)

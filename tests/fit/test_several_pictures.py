@@ -1,4 +1,4 @@
-"""Several pictures of one world: what they share, and what each has of its own."""
+"""Several pictures of the same spheres: parameters that they share, and that each has apart."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -51,7 +51,7 @@ def starts(scenes: list[st.Scene]) -> list[st.Scene]:
 
 
 def errors(found: st.Scene, truth: st.Scene) -> np.ndarray:
-    """The largest error of each sphere's, and the light's, determined numbers.
+    """Returns the largest error of each sphere's, and the light's, determined numbers.
 
     In units of the largest of each kind.
     """
@@ -68,13 +68,13 @@ def problem_of(scenes, targets, **counts) -> Problem:
 
 
 def normal_of(scenes, targets, **counts):
-    """The normal equations at the start."""
+    """Returns the normal equations at the start."""
     problem = problem_of(scenes, targets, **counts)
     return normal_at(problem, problem.start())
 
 
 def assert_sum(whole, *parts) -> None:
-    """Normal equations that are the sum of others."""
+    """Checks that normal equations are the sum of others."""
     scale = np.sqrt(np.diag(np.asarray(whole.square)))
     some = np.where(scale > 0, scale, 1)
     square = sum(np.asarray(p.square) for p in parts)
@@ -86,7 +86,7 @@ def assert_sum(whole, *parts) -> None:
     np.testing.assert_allclose(whole.cost, sum(float(p.cost) for p in parts), rtol=1e-13)
 
 
-def test_two_cameras_find_what_one_does_not_see(pictures):
+def test_two_cameras(pictures):
     found = st.fit(starts(CAMERAS), pictures, **PLAIN)
     assert found.converged and found.trust.ok
     for scene, truth in zip(found.scenes, CAMERAS, strict=True):
@@ -121,14 +121,14 @@ def test_normal_equations_add_up(pictures):
     assert_sum(both, first, second)
 
 
-def test_the_same_picture_twice_counts_as_one_of_weight_2(pictures):
+def test_picture_twice_is_weight_2(pictures):
     start = wrong_start(FRONT)
     twice = normal_of([start, start], [pictures[0], pictures[0]])
     assert_sum(twice, normal_of(start, pictures[0], weights=2.0))
 
 
-def test_a_cost_is_the_sum_of_the_single_pictures(pictures):
-    """At what a fit of both finds, from pictures that do not agree."""
+def test_costs_add_up(pictures):
+    """Checks the cost at the fit of two pictures that do not agree."""
     darker = [pictures[0], 0.9 * pictures[1]]
     found = st.fit(starts(CAMERAS), darker, **PLAIN)
     assert found.converged and found.cost > 1e-3
@@ -139,7 +139,7 @@ def test_a_cost_is_the_sum_of_the_single_pictures(pictures):
     np.testing.assert_allclose(sum(costs), found.cost, rtol=1e-10)
 
 
-def test_each_picture_may_have_a_light_of_its_own():
+def test_light_per_picture():
     found = st.fit(starts(LIGHTS), pictures_of(LIGHTS), own=("light_position",), **PLAIN)
     assert found.converged and found.trust.ok
     for scene, truth in zip(found.scenes, LIGHTS, strict=True):
@@ -150,7 +150,7 @@ def test_each_picture_may_have_a_light_of_its_own():
     assert deviations["light_position"].shape == (2, 1, 3) and deviations["ks"].shape == (3,)
 
 
-def test_each_picture_has_an_exposure_of_its_own(pictures):
+def test_exposure_per_picture(pictures):
     exposures = np.array([[0.7, 1.1, 1.3], [1.5, 0.9, 0.8]])
     moved = [
         eqx.tree_at(lambda s: s.lights.position, truth, start.lights.position)
@@ -166,7 +166,7 @@ def test_each_picture_has_an_exposure_of_its_own(pictures):
 
 
 def test_known_lights_may_differ():
-    """Only what is free and shared must start alike."""
+    """Checks that only what is free and shared must start alike."""
     targets = [np.full((4, 4, 3), 0.5)] * 2
     problem = make_problem(LIGHTS, targets, ("color",), bounces=0)
     for (scene, _), truth in zip(problem.scenes_at(problem.start()), LIGHTS, strict=True):
@@ -208,7 +208,7 @@ OWN = "own must name free parameters of lights or camera, got {}"
         ([FRONT, BACK], [TARGET, np.full((4, 5), 0.5)], {}, r"target must have shape .*\(4, 5\)"),
     ],
 )  # fmt: skip
-def test_mistakes_are_one_clear_line(scenes, targets, settings, message):
+def test_mistakes(scenes, targets, settings, message):
     with pytest.raises(st.InputError, match=message) as caught:
         st.fit(scenes, targets, **settings)
     assert "\n" not in str(caught.value)
@@ -223,6 +223,6 @@ def test_mistakes_are_one_clear_line(scenes, targets, settings, message):
         (dict(noise=[0.1, 0.0]), "noise must be finite and greater than 0"),
     ],
 )
-def test_what_counts_is_given_for_each_picture(counts, message):
+def test_mistakes_of_counts(counts, message):
     with pytest.raises(st.InputError, match=message):
         problem_of(CAMERAS, [TARGET, TARGET], **counts)

@@ -1,4 +1,4 @@
-"""The solution of a fit as a function, and its derivatives."""
+"""`solution`: the result of a fit as a function, and its derivatives."""
 
 import equinox as eqx
 import jax
@@ -27,14 +27,14 @@ def problem():
     return st.fit(start, TARGET, free=FREE, **PLAIN).problem
 
 
-def test_it_is_what_the_fit_finds(problem):
+def test_equals_fit(problem):
     [(scene, exposure)] = eqx.filter_jit(solution)(problem)
     np.testing.assert_allclose(scene.lights.position, TRUTH.lights.position, rtol=1e-9)
     assert (exposure == 1).all()
 
 
 @pytest.mark.slow
-def test_the_light_moves_with_the_target_as_a_fit_again_says(problem):
+def test_derivative_by_target(problem):
     noise = 1e-2 * np.random.default_rng(0).standard_normal(TARGET.shape)
 
     def light(step):
@@ -52,7 +52,7 @@ def test_the_light_moves_with_the_target_as_a_fit_again_says(problem):
 
 
 @pytest.mark.slow
-def test_95_percent_intervals_cover_95_percent():
+def test_interval_coverage():
     start = eqx.tree_at(lambda s: s.lights.position, TRUTH, TRUTH.lights.position + 5)
     rng, free = np.random.default_rng(0), ("color", "kd", "light_position")
     places = lambda s: (s.spheres.color, s.spheres.kd, s.lights.position)

@@ -8,8 +8,8 @@ import math
 import jax
 import numpy as np
 import pytest
-from bench.edges import off
 from helpers.commands import spheretrace, workplace
+from helpers.derivatives import off
 from helpers.scenes import three_apart, three_spheres
 
 import spheretrace_jax as st

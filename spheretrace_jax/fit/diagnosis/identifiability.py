@@ -7,8 +7,8 @@ from jaxtyping import Float
 from ..problem.labels import labels_of, picture_suffix
 from .uncertainty import Uncertainty
 
-# The standard deviation of an unknown, a logarithm, an angle in radians or a part of its range,
-# from which it is as good as not determined: half of its range. A smaller one names more as weak.
+# The standard deviation from which an unknown is as good as not determined: half of its range.
+# Unknowns are logarithms, angles in radians or parts of their range. A smaller one names more.
 _WEAK = 0.5
 
 # The components of a null direction, as parts of its largest, that are named. Smaller ones come

@@ -1,6 +1,6 @@
 """Null columns of J: unknowns that do not show at all, and why.
 
-Their object is not seen, not lit, or its other numbers take them out.
+Their object is not seen or not lit, or a number that multiplies them is 0.
 """
 
 from collections.abc import Collection, Iterator

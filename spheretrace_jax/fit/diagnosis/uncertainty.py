@@ -256,8 +256,8 @@ def _in_float64(
 ]:
     """Returns J^T J, J^T r, and the derivatives of the free parameters by the unknowns.
 
-    Also of fits in float32: there the squares of what shows little are lost among the rounding
-    errors of what shows much, and nothing could be said of what does not show at all.
+    Also of fits in float32. In float32 the squares of what shows little are lost among the rounding
+    errors of what shows much: null columns would not stand out.
     """
     if problem.dtype == np.float64:
         jacobians = [np.asarray(x) for x in _jacobians(problem, values)]

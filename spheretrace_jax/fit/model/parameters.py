@@ -1,11 +1,11 @@
 """The free parameters of a fit: how each is scaled to unknowns of order one, and bounded.
 
 A solver works on dimensionless unknowns of order one, a dict `name -> array`. Bounds are respected
-twice: `bounds` tells solvers that know boxes, and for all others numbers outside 0..1 are folded
-back like a sheet of paper, so that any number stands for a valid scene. Folding is the identity
-inside the bounds and has slope +-1 everywhere: where the truth lies on a bound (colour 0, ks 0)
-Levenberg-Marquardt still converges quadratically, in 7 steps on the nine spheres, where sigmoid
-and sine, whose slope vanishes there, had not arrived after 60.
+twice. `bounds` tells solvers that know boxes. For all others numbers outside 0..1 are folded back
+like a sheet of paper, so that any number stands for a valid scene. Folding is the identity inside
+the bounds and has slope +-1 everywhere. So Levenberg-Marquardt converges quadratically even where
+the truth lies on a bound (colour 0, ks 0), in 7 steps on the nine spheres. Sigmoid and sine, whose
+slope vanishes at a bound, had not arrived after 60.
 """
 
 from collections.abc import Callable

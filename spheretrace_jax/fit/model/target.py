@@ -1,8 +1,8 @@
 """`Target`: a picture to fit, the weights of its numbers, and the loss.
 
 The residual of a number is weight (exposure picture - target), bent by a robust loss if asked for:
-Gauss-Newton on r~(r) with r~^2 / 2 = rho(r) minimises the sum of rho (Triggs et al., "Bundle
-Adjustment - A Modern Synthesis", 2000, section 4.3).
+Gauss-Newton on r~(r) with r~^2 / 2 = rho(r) minimises the sum of rho. See Triggs et al., "Bundle
+Adjustment - A Modern Synthesis", 2000, section 4.3.
 """
 
 from typing import Literal

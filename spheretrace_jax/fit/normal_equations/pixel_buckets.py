@@ -100,7 +100,7 @@ def _labels(context: TraceContext, index: ParameterIndex) -> Int[Array, " pixels
     return lax.map(label, strip * jnp.arange(strips, dtype=jnp.int32)).reshape(-1)[:size]
 
 
-def _path_ends(context: TraceContext) -> Bool[Array, " objects+1"]:
+def _path_ends(context: TraceContext) -> Bool[Array, " labels"]:
     """Tests at which objects paths end; the last entry is for no object, -1."""
     objects, materials = context.tables.object_count, context.tables.materials
     if not context.settings.bounces:

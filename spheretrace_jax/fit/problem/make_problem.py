@@ -125,8 +125,8 @@ def _for_each(name: str, value: Any, count: int) -> list:
 def _check_shared(scenes: list[Scene], free: tuple[str, ...], per_picture: frozenset[str]) -> None:
     """Checks that scenes differ only in what each picture may have apart.
 
-    **Raises:** `InputError` for scenes of different spheres, planes or textures, for shared free
-    parameters that start differently, and for names in `per_picture` that are not free.
+    **Raises:** `InputError` for scenes of different spheres, planes or textures; for shared free
+    parameters that start differently; for names in `per_picture` that are not free.
     """
     wrong = sorted(per_picture - (_MAY_DIFFER & set(free)))
     if wrong:

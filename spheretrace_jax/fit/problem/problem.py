@@ -29,8 +29,8 @@ _COARSENING, _LEAST_BOXES = 5, 48
 class Problem(eqx.Module):
     """The pictures to fit, the scenes to start from, and what is free.
 
-    The unknowns are a dict `name -> array` of dimensionless numbers (`fit/model/parameters.py`),
-    and a list of arrays, one for each picture, for parameters that each picture has apart.
+    The unknowns are a dict `name -> array` of dimensionless numbers (`fit/model/parameters.py`).
+    Parameters that each picture has apart have a list of arrays there, one for each picture.
     """
 
     parameters: tuple[Parameters, ...]  #: one for each picture

@@ -86,9 +86,9 @@ class CautiousTrustRegion(optx.ClassicalTrustRegion):
     """Optimistix's trust region, for residuals that are linear over short steps only.
 
     Edges make them so. The linear model is trusted by the textbook's 1/4 and 3/4 (Nocedal, Wright,
-    "Numerical Optimization", 2006, alg. 4.1). Where steps are rejected one after the other each
-    drops further than the one before, by 4, 16, 64, as in Nielsen, "Damping Parameter in
-    Marquardt's Method" (1999): steps may have grown a million times before.
+    "Numerical Optimization", 2006, alg. 4.1). Of steps that are rejected one after the other each
+    drops further than the one before, by 4, 16, 64: steps may have grown a million times before.
+    See Nielsen, "Damping Parameter in Marquardt's Method" (1999).
     """
 
     high_cutoff: ScalarLike = 0.75
@@ -115,8 +115,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     """Optimistix's Levenberg-Marquardt with bounds on the unknowns.
 
     A cautious one has a `CautiousTrustRegion`, and its dampings are multiples of the first
-    Jacobian's mean squared column, blind to the picture's size. Centres off by half a radius and
-    radii by 30 % then come back in about 20 steps on the nine spheres at 64 x 64; without caution
+    Jacobian's mean squared column, blind to the picture's size. On the nine spheres at 64 x 64
+    centres off by half a radius and radii by 30 % then come back in about 20 steps; without caution
     a few spheres were lost in depth. Colours take 12 steps without caution.
     """
 
@@ -130,7 +130,10 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     def __init__(
         self, rtol: float, atol: float, lower: PyTree, upper: PyTree, cautious: bool = False
     ):
-        """**Arguments:** `lower`, `upper`: pytrees like the unknowns, -inf and inf for no bound."""
+        """Takes tolerances and bounds.
+
+        **Arguments:** `lower`, `upper`: pytrees like the unknowns, -inf and inf for no bound.
+        """
         self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
         self.descent = BoundedDescent(lower, upper, cautious)
         self.search = CautiousTrustRegion() if cautious else optx.ClassicalTrustRegion()

@@ -1,7 +1,7 @@
 """The search for lights: starts of a fit whose geometry is known, from lights or from nothing.
 
-Directions all around are tried for the lights, one after the other, each with the materials that
-suit it best, and then finer ones around the best. That is variable projection on a grid:
+Variable projection on a grid: directions all around are tried for the lights, one after the other,
+each with the materials that suit it best, then finer ones around the best. The search is
 deterministic, and blind to local minima that are narrower than the grid.
 """
 
