@@ -19,7 +19,7 @@ import pytest
 from helpers.commands import FIT, REPORT, WRITING, disk_full, files, spheretrace, workplace
 
 import spheretrace_jax as st
-from spheretrace_jax.cli import commands
+from spheretrace_jax.cli import demo
 from spheretrace_jax.files import atomic
 
 solve = importlib.import_module("spheretrace_jax.fit.fit")  # the function has the same name
@@ -93,7 +93,7 @@ def test_a_demo_that_finds_no_room_leaves_the_old_files(folder, monkeypatch):
     (data / "nine_spheres.txt").write_bytes(Path("scene.txt").read_bytes())
     picture = np.asarray(st.render(st.load_scene("scene.txt", np.float32), width=24, height=24))
     st.write_image(data / "nine_spheres.png", picture, bits=16)
-    monkeypatch.setattr(commands, "data_folder", lambda: data)
+    monkeypatch.setattr(demo, "data_folder", lambda: data)
     names = ["out/fitted.txt", "out/fitted.png"]
     old(*names)
     with disk_full():
