@@ -28,7 +28,7 @@ from .arguments import (
 from .demo import DemoCommand
 
 
-@dataclass
+@dataclass(kw_only=True)
 class RenderCommand(Sampling, Sized, Compiling):
     """Draw a scene to a picture file.
 
@@ -67,7 +67,7 @@ class RenderCommand(Sampling, Sized, Compiling):
         return 0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FitCommand(Sampling, Compiling):
     """Find the scene that looks like a picture, starting from SCENE.
 
@@ -147,7 +147,7 @@ class FitCommand(Sampling, Compiling):
         return None if self.mask is None else (read_image(self.mask) > 0).any(axis=-1)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class CheckCommand(Sampling, Sized, Compiling):
     """See whether a scene's derivatives, its picture in float32 and its fits can be trusted.
 
@@ -175,7 +175,7 @@ class CheckCommand(Sampling, Sized, Compiling):
         return 0 if check(scene, free, **size, **self.settings) else 1
 
 
-@dataclass
+@dataclass(kw_only=True)
 class StudyCommand(Compiling):
     """Measure error against run time on a scene, and draw it.
 
@@ -213,7 +213,7 @@ class StudyCommand(Compiling):
         return 0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class InfoCommand(Command):
     """Show a scene as a table: what is in it, what its picture needs, what is left out and why."""
 
@@ -233,7 +233,7 @@ class InfoCommand(Command):
         return 0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class ConvertCommand(Tracing):
     """Write a scene for POV-Ray 3.7, whose picture is then the same."""
 
@@ -244,16 +244,15 @@ class ConvertCommand(Tracing):
 
     def run(self) -> int:
         """Writes the scene in the format of the output's ending."""
-        from ..files.formats import SCENE_FORMATS, read_scene
+        from ..files.formats import EXPORT_FORMATS, read_scene
 
-        exports = {ending: f for ending, f in SCENE_FORMATS.items() if f.export is not None}
-        if self.output.suffix not in exports:
-            endings = " or ".join(exports)
+        if self.output.suffix not in EXPORT_FORMATS:
+            endings = " or ".join(EXPORT_FORMATS)
             raise InputError(f"{self.output}: expected a file that ends in {endings}")
-        format_ = exports[self.output.suffix]
+        exported = EXPORT_FORMATS[self.output.suffix]
         scene = read_scene(self.scene, "float64")
-        format_.export(self.output, scene, scene_path=self.scene, **self.settings)
-        print(f"{self.output}: render it with {format_.usage.format(file=self.output)}")
+        exported.write(self.output, scene, scene_path=self.scene, **self.settings)
+        print(f"{self.output}: render it with {exported.usage.format(file=self.output)}")
         return 0
 
 

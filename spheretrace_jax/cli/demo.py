@@ -13,7 +13,7 @@ from . import progress
 from .arguments import Compiling, Dtype, check_folder
 
 
-@dataclass
+@dataclass(kw_only=True)
 class DemoCommand(Compiling):
     """Fit the nine-sphere scene to a picture that POV-Ray rendered, from a wrong start.
 

@@ -1,7 +1,7 @@
 """The command line: `spheretrace COMMAND ...`, with the commands of `commands.py`.
 
-Errors that a user can cause print one line and exit with status 2. A fit that did not converge and a
-scene that fails a check exit with 1, interrupted programs with 130.
+Errors that a user can cause print one line and exit with status 2. A fit that did not converge and
+a scene that fails a check exit with 1, interrupted programs with 130.
 """
 
 import _thread

@@ -38,8 +38,7 @@ _LINEAR_FORMATS = ("exr", "hdr")
 _Number = float | np.floating
 
 # Least opacity 1 - kt that is written. POV-Ray multiplies ambient and diffuse light by the
-# opacity, and `_spheres` divides by the opacity, so it must not be 0. A power of 2, as POV-Ray keeps
-# colours in float32.
+# opacity, and `_spheres` divides by it, so it must not be 0. A power of 2: colours are in float32.
 _LEAST_OPACITY = 2.0**-14
 _FARTHEST, _NEAREST = 1e7, 1e-3  # POV-Ray's MAX_DISTANCE and SHADOW_TOLERANCE
 
