@@ -14,7 +14,9 @@ from ..base.types import Highlight
 SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
 Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
 HighlightModel = Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")]
-Bounces = Annotated[int, arg(metavar="N", help="reflections and transmissions at most")]
+_BOUNCES = arg(metavar="N", help="reflections and transmissions at most")
+Bounces = Annotated[int, _BOUNCES]
+OptionalBounces = Annotated[int | None, _BOUNCES]
 Size = Annotated[str, arg(metavar="WxH", help="width and height in pixels")]
 Samples = Annotated[
     int, arg(metavar="K", help="each pixel is the mean of K x K parts, as the antialias flag says")

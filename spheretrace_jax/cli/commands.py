@@ -12,11 +12,11 @@ from ..fit.fit import DEFAULT_FREE
 from ..fit.model.parameters import NAMES
 from . import progress
 from .arguments import (
-    Bounces,
     Command,
     Compiling,
     Dtype,
     HighlightModel,
+    OptionalBounces,
     Sampling,
     SceneFile,
     Size,
@@ -194,7 +194,7 @@ class StudyCommand(Compiling):
         str, arg(metavar="NAMES", help="what to study, with commas")
     ] = "picture,derivative,fit,scale"  # fmt: skip
     highlight: HighlightModel = "phong"
-    bounces: Bounces | None = None
+    bounces: OptionalBounces = None
     seed: Annotated[int, arg(metavar="S", help="of the directions in which things move")] = 0
 
     def run(self) -> int:
