@@ -40,8 +40,8 @@ def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
 
 def _print_gradients(table: GradientTable) -> None:
     """Prints the agreement of the derivatives."""
-    verdict = "agree" if table.ok else "do NOT agree"
-    _print_lines(f"derivatives: forward mode, reverse mode and differences {verdict}")
+    found = "agree" if table.ok else "do NOT agree"
+    _print_lines(f"derivatives: forward mode, reverse mode and differences {found}")
     rows = [
         (
             row.parameter, f"{row.forward:.1e}", f"{row.reverse:.1e}", f"{row.largest:.1e}",
@@ -55,9 +55,9 @@ def _print_gradients(table: GradientTable) -> None:
 
 def _print_stability(table: StabilityTable) -> None:
     """Prints the differences between float32 and float64."""
-    verdict = "shows the same" if table.ok else "does NOT show the same"
+    found = "shows the same" if table.ok else "does NOT show the same"
     _print_lines(
-        f"float32 {verdict} as float64: median error {table.median:.1e}, largest {table.largest:.1e}; "
+        f"float32 {found} as float64: median error {table.median:.1e}, largest {table.largest:.1e}; "
         f"{table.shown} of {table.pixels} pixels ({table.share:.2g} of the picture) are off by "
         f"more than {table.limit:.1e}"
     )
@@ -75,9 +75,9 @@ def _print_stability(table: StabilityTable) -> None:
 
 def _print_condition(condition: Condition) -> None:
     """Prints the conditioning of a fit."""
-    verdict = "is well conditioned" if condition.ok else "is NOT well conditioned"
+    found = "is well conditioned" if condition.ok else "is NOT well conditioned"
     _print_lines(
-        f"a fit of {', '.join(condition.names)} {verdict}: {condition.rank} of {condition.free} free "
+        f"a fit of {', '.join(condition.names)} {found}: {condition.rank} of {condition.free} free "
         f"numbers are determined, condition number {condition.number:.1e}",
         *condition.warnings,
     )

@@ -66,7 +66,7 @@ def _page(study: Study) -> str:
             f"## {diagram.title}",
             f"![{diagram.title}]({diagram.name}.png)",
             " ".join(caption(diagram)),
-            f"Reference: {diagram.reference}." if diagram.error else f"{diagram.reference}.",
+            f"Truth: {diagram.reference}." if diagram.error else f"{diagram.reference}.",
             _table(diagram),
         ]
     return "\n\n".join(paragraphs) + "\n"
@@ -97,7 +97,7 @@ def _work_precision(diagram: Diagram):
             markersize=4,
         )  # fmt: skip
     if math.isfinite(diagram.uncertainty):
-        ax.axhline(diagram.uncertainty, color="grey", linestyle=":", label="error of the reference")
+        ax.axhline(diagram.uncertainty, color="grey", linestyle=":", label="the truth is known to")
     ax.set(xlabel="seconds, without compilation", ylabel=diagram.error)
     _finish(figure, ax, diagram.title)
     return figure
