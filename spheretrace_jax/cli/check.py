@@ -40,8 +40,8 @@ def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
 
 def _print_gradients(table: GradientTable) -> None:
     """Prints the agreement of the derivatives."""
-    found = "agree" if table.ok else "do NOT agree"
-    _print_lines(f"derivatives: forward mode, reverse mode and differences {found}")
+    agreement = "agree" if table.ok else "do NOT agree"
+    _print_lines(f"derivatives: forward mode, reverse mode and differences {agreement}")
     rows = [
         (
             row.parameter, f"{row.forward:.1e}", f"{row.reverse:.1e}", f"{row.largest:.1e}",
@@ -55,11 +55,11 @@ def _print_gradients(table: GradientTable) -> None:
 
 def _print_stability(table: StabilityTable) -> None:
     """Prints the differences between float32 and float64."""
-    found = "shows the same" if table.ok else "does NOT show the same"
+    agreement = "shows the same" if table.ok else "does NOT show the same"
     _print_lines(
-        f"float32 {found} as float64: median error {table.median:.1e}, largest {table.largest:.1e}; "
-        f"{table.shown} of {table.pixels} pixels ({table.share:.2g} of the picture) are off by "
-        f"more than {table.limit:.1e}"
+        f"float32 {agreement} as float64: median error {table.median:.1e}, "
+        f"largest {table.largest:.1e}; {table.shown} of {table.pixels} pixels "
+        f"({table.share:.2g} of the picture) are off by more than {table.limit:.1e}"
     )
     rows = [
         (
@@ -75,10 +75,10 @@ def _print_stability(table: StabilityTable) -> None:
 
 def _print_condition(condition: Condition) -> None:
     """Prints the conditioning of a fit."""
-    found = "is well conditioned" if condition.ok else "is NOT well conditioned"
+    agreement = "is well conditioned" if condition.ok else "is NOT well conditioned"
     _print_lines(
-        f"a fit of {', '.join(condition.names)} {found}: {condition.rank} of {condition.free} free "
-        f"numbers are determined, condition number {condition.number:.1e}",
+        f"a fit of {', '.join(condition.names)} {agreement}: {condition.rank} of {condition.free} "
+        f"free numbers are determined, condition number {condition.number:.1e}",
         *condition.warnings,
     )
 

@@ -9,8 +9,8 @@ from ...scene.needs import Needs, needs
 from ...scene.scene import Scene
 from ...scene.settings import render_settings
 
-# Side, in pixels, and bounces of the picture whose operations are counted. The picture is one strip,
-# so that every operation counts once per pixel.
+# Side, in pixels, and bounces of the picture whose operations are counted. The picture is one
+# strip, so that every operation counts once per pixel.
 _SIDE, _BOUNCES = 64, 2
 
 

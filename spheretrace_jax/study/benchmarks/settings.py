@@ -20,7 +20,7 @@ class Settings:
         0.1,
         0.3,
         1.0,
-    )  #: of differences, in pixels by which edges move
+    )  #: of differences, pixels of motion
     truth_rays: int = 3000  #: of the reference, per pixel
     fit_size: int = 128  #: width and height of the pictures that are fitted
     fit_seconds: float = 3.0  #: time after which a solver is stopped
@@ -29,7 +29,7 @@ class Settings:
         256,
         512,
         1024,
-    )  #: widths and heights of the pictures whose time is measured
+    )  #: of pictures, for their time
     counts: tuple[int, ...] = (10, 100, 1000, 10_000, 100_000)  #: of spheres
     lights: tuple[int, ...] = (1, 2, 4)
     depths: tuple[int, ...] = (0, 1, 3)  #: of bounces
