@@ -125,8 +125,10 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     size, free = settings.fit_size, ("color", "light_position")
     target = render(truth, width=size, height=size, bounces=0)
     settings.say("fit: ours, matt spheres")
-    known = uncertainty_at(truth, target, free, _NOISE, highlight=settings.highlight, bounces=0)
-    seen = known.of(PRODUCTS["kd*color"]) < _KNOWN
+    uncertainty = uncertainty_at(
+        truth, target, free, _NOISE, highlight=settings.highlight, bounces=0
+    )
+    determined = uncertainty.of(PRODUCTS["kd*color"]) < _LARGEST_DEVIATION
     values = lambda s: [PLACES[name](s) for name in free]
     start = eqx.tree_at(values, truth, values(displaced(truth)))
     ours = lambda most: [
@@ -140,9 +142,8 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     distance = np.linalg.norm(true[0])
 
     def error(found: np.ndarray) -> float:
-        light, *colors = found - true
-        of_colors = np.abs(np.reshape(colors, true[1:].shape)[determined])
-        return float(max(np.linalg.norm(light) / distance, of_colors.max(initial=0)))
+        light, colors = np.split(np.abs(found - true), [1])
+        return float(max(np.linalg.norm(light[0]) / distance, colors[determined].max(initial=0)))
 
     points = _points("fit_matt", methods, error, settings)
     yield Diagram(

@@ -19,6 +19,10 @@ from .settings import Settings
 from .work_precision import Diagram, Point, Program, clock
 
 
+_Case = tuple[Scene, int, int]
+"""A scene, the side of its picture in pixels, and the bounces."""
+
+
 def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     """Yields four diagrams of single rays, each of which sweeps one size."""
     scene = scene.with_antialias(0).astype(jnp.float32)
@@ -43,10 +47,6 @@ def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
             _points(name, {n: case(n) for n in numbers}, programs, settings),
             label,
         )
-
-
-_Case = tuple[Scene, int, int]
-"""A scene, the side of its picture in pixels, and the bounces."""
 
 
 @dataclasses.dataclass(frozen=True)
