@@ -1,4 +1,4 @@
-"""Recover colours, ka, kd, ks and the light of the nine spheres from their picture.
+"""Fits colours, ka, kd, ks and the light of the nine spheres to their picture.
 
 python examples/fit_picture.py [--size 96]
 """

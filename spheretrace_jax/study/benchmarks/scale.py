@@ -18,7 +18,6 @@ from ...scene.spheres import Spheres
 from .settings import Settings
 from .work_precision import Diagram, Point, Program, clock
 
-
 _Case = tuple[Scene, int, int]
 """A scene, the side of its picture in pixels, and the bounces."""
 
