@@ -46,7 +46,7 @@ def displaced(scene: st.Scene) -> st.Scene:
 
 
 def errors(scene: st.Scene, truth: st.Scene) -> dict[str, float]:
-    """Returns the largest errors of centres and radii, per radius, and of the light, per distance."""
+    """Returns the largest errors: centres and radii per radius, the light per distance."""
     s, true = scene.spheres, truth.spheres
     light = np.linalg.norm(scene.lights.position - truth.lights.position)
     return {

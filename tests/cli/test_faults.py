@@ -27,7 +27,7 @@ solve = importlib.import_module("spheretrace_jax.fit.fit")  # the function has t
 
 @pytest.fixture(autouse=True)
 def interruptible() -> Iterator[None]:
-    """A shell has what it runs in the background ignore interrupts, and so these tests."""
+    """Enables interrupts, which shells disable in programs that run in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -41,7 +41,7 @@ def filled() -> Iterator[Path]:
 
 @pytest.fixture
 def folder(filled, monkeypatch) -> Iterator[Path]:
-    """The same, as the present one, with nothing else in it."""
+    """Enters the filled folder, and removes new files afterwards."""
     monkeypatch.chdir(filled)
     before = files(filled)
     yield filled
@@ -56,7 +56,7 @@ def old(*names: str) -> None:
 
 
 def refused(words: tuple, reason: str) -> None:
-    """The command fails in one line that ends with `reason`, and all files are as before."""
+    """Asserts that a command fails in one line that ends with `reason`, and changes no file."""
     before = files(Path())
     status, out, err = spheretrace(*words)
     assert (status, out, err) == (2, "", f"spheretrace: {reason}\n")
@@ -113,7 +113,7 @@ def test_a_folder_that_goes_away_meanwhile_is_named(command, folder, monkeypatch
     check = atomic.check_target
 
     def checked(path) -> None:
-        """At the last moment there is still a folder."""
+        """Removes the folder after the last check."""
         check(path)
         if sys._getframe(1).f_code.co_name == "replacing":
             Path("gone").rmdir()
@@ -126,7 +126,7 @@ def test_a_folder_that_goes_away_meanwhile_is_named(command, folder, monkeypatch
 
 
 def interrupt() -> None:
-    """What Ctrl-C does."""
+    """Interrupts the program, as Ctrl-C does."""
     signal.raise_signal(signal.SIGINT)
 
 
@@ -212,7 +212,7 @@ WRITERS = {
 
 @contextmanager
 def interrupt_at(line: int) -> Iterator[list]:
-    """An interrupt before the nth line that is run of what writes files; a list of where it was."""
+    """Interrupts before the nth executed line of the writers. Yields a list of the position."""
     place, left = [], line
 
     def trace(frame, event, _):
@@ -234,7 +234,7 @@ def interrupt_at(line: int) -> Iterator[list]:
 
 
 def content(name: str) -> bytes:
-    """Without the time, which EXR files hold."""
+    """Reads a file without the time, which EXR files hold."""
     return re.sub(rb"\d+:\d\d:\d\d \d\d:\d\d:\d\d", b"", Path(name).read_bytes())
 
 
