@@ -92,9 +92,9 @@ def main() -> None:
         error = ", ".join(f"{name} {e:.1e}" for name, e in errors(progress.scene, truth).items())
         print(f"step {progress.step:2}: cost {progress.cost:.1e}, off by {error}")
 
-    found = st.fit(start, target, free=FREE, callback=show)
-    print(found.trust.verdict)
-    for name, error in errors(found.scene, truth).items():
+    result = st.fit(start, target, free=FREE, callback=show)
+    print(result.trust.verdict)
+    for name, error in errors(result.scene, truth).items():
         print(f"{name:15} largest error {error:.1e}")
     shown = np.unique(np.linspace(0, len(steps) - 1, 7).round().astype(int))
     scenes = {f"step {k}" if k else "start": steps[k] for k in shown}

@@ -58,9 +58,9 @@ def main() -> None:
     # each device sums the normal equations of its rows; the solution is the same on all devices
     kd = lambda s: s.spheres.kd
     start = eqx.tree_at(kd, scene, 0.5 * kd(scene))
-    found = st.fit(start, picture, free=("kd", "ks"), bounces=1, sharding=sharding)
-    print(found.trust.verdict)
-    print(f"kd is off by {np.abs(np.asarray(kd(found.scene) - kd(scene))).max():.0e}")
+    result = st.fit(start, picture, free=("kd", "ks"), bounces=1, sharding=sharding)
+    print(result.trust.verdict)
+    print(f"kd is off by {np.abs(np.asarray(kd(result.scene) - kd(scene))).max():.0e}")
 
 
 if __name__ == "__main__":

@@ -126,19 +126,19 @@ class FitCommand(Sampling, Compiling):
         check_folder(self.report)
         scene = read_scene(self.scene, self.dtype)
         target = read_image(self.target, self.colorspace)
-        found = progress.fit_with_progress(
+        result = progress.fit_with_progress(
             scene, target, free=free, max_steps=self.max_steps, mask=self._mask(),
             darkest=self.darkest, noise=self.noise, loss=self.loss, start=self.start,
             gauge=self.gauge, **self.settings,
         )  # fmt: skip
-        save_scene(self.output, found.scene)
-        print(f"{self.output}: {found.trust}")
+        save_scene(self.output, result.scene)
+        print(f"{self.output}: {result.trust}")
         if self.report is not None:
             for file in progress.report_with_progress(
-                self.report, found, scene, target, free, self.settings
+                self.report, result, scene, target, free, self.settings
             ):
                 print(file)
-        return 130 if found.interrupted else 0 if found.trust.ok else 1
+        return 130 if result.interrupted else 0 if result.trust.ok else 1
 
     def _mask(self):
         """Reads the mask: False where all channels are black."""
@@ -205,11 +205,11 @@ class StudyCommand(Compiling):
         check_folder(self.report)
         scene = read_scene(self.scene, "float64")
         bounces = {} if self.bounces is None else dict(bounces=self.bounces)
-        found = progress.study_with_progress(
+        measured = progress.study_with_progress(
             scene, parts=names_in(self.parts), quick=self.quick, highlight=self.highlight,
             seed=self.seed, **bounces,
         )  # fmt: skip
-        print("written:", *write_study(self.report, found), sep="\n  ")
+        print("written:", *write_study(self.report, measured), sep="\n  ")
         return 0
 
 

@@ -37,30 +37,30 @@ class DemoCommand(Compiling):
         settings = dict(samples=2)
         target = read_image(data / "nine_spheres.png")
         start = wrong_start(truth)
-        found = progress.fit_with_progress(start, target, **settings)
+        result = progress.fit_with_progress(start, target, **settings)
         self.output.mkdir(parents=True, exist_ok=True)
-        smooth = found.scene.with_antialias(1)
+        smooth = result.scene.with_antialias(1)
         files = [self.output / "fitted.txt", self.output / "fitted.png"]
         save_scene(files[0], smooth)
         with progress.busy("rendering the fitted scene"):
             write_image(files[1], render(smooth))
         files += progress.report_with_progress(
-            self.output, found, start, target, DEFAULT_FREE, settings
+            self.output, result, start, target, DEFAULT_FREE, settings
         )
-        print(f"the fit {found.trust.verdict}")
+        print(f"the fit {result.trust.verdict}")
         print("largest error against the file that POV-Ray rendered:")
-        _print_errors(found.scene, start, truth)
+        _print_errors(result.scene, start, truth)
         print("written:", *files, sep="\n  ")
-        return 0 if found.trust.ok else 1
+        return 0 if result.trust.ok else 1
 
 
 def _print_errors(scene, start, truth) -> None:
     """Prints the largest error of each determined product, and that of the start."""
     from ..fit.model.products import determined_products
 
-    found, first = determined_products(scene), determined_products(start)
+    fitted, first = determined_products(scene), determined_products(start)
     for name, true in determined_products(truth).items():
-        error, at_start = (abs(x[name] - true).max() for x in (found, first))
+        error, at_start = (abs(x[name] - true).max() for x in (fitted, first))
         print(f"  {name:15} {error:9.2e}   (start: {at_start:.2e})")
 
 

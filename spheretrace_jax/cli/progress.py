@@ -40,7 +40,7 @@ def fit_with_progress(scene, target, **settings):
         return fit(scene, target, callback=show, **settings)
 
 
-def report_with_progress(folder: Path, found, start, target, free, settings) -> list[Path]:
+def report_with_progress(folder: Path, result, start, target, free, settings) -> list[Path]:
     """Renders the pictures of a fit's report and writes the report.
 
     **Arguments:** as for `write_report`. `settings`: highlight, bounces and samples, as for
@@ -57,9 +57,9 @@ def report_with_progress(folder: Path, found, start, target, free, settings) -> 
     with busy("writing the report"):
         before, after = (
             np.asarray(render(scene, width=width, height=height, **settings))
-            for scene in (start, found.scene)
+            for scene in (start, result.scene)
         )
-        return write_report(folder, found, start, target, before, after, free)
+        return write_report(folder, result, start, target, before, after, free)
 
 
 def study_with_progress(scene, **settings):

@@ -89,9 +89,9 @@ def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
     distance = np.linalg.norm(truth.lights.position, axis=-1, keepdims=True)
     products = jax.jit(_products)
 
-    def error(found: Scene) -> float:
-        of_products = np.abs(products(found) - products(truth))[determined]
-        shift = np.abs(found.lights.position - truth.lights.position)
+    def error(fitted: Scene) -> float:
+        of_products = np.abs(products(fitted) - products(truth))[determined]
+        shift = np.abs(fitted.lights.position - truth.lights.position)
         return float(
             max(of_products.max(initial=0), (shift / np.where(distance > 0, distance, 1)).max())
         )
@@ -132,8 +132,8 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     values = lambda s: [PLACES[name](s) for name in free]
     start = eqx.tree_at(values, truth, values(displaced(truth)))
     ours = lambda most: [
-        (seconds, fitted(found))
-        for seconds, found in _curve(start, target, most, free=free, bounces=0)
+        (seconds, fitted(step))
+        for seconds, step in _curve(start, target, most, free=free, bounces=0)
     ]
     methods = {"ours": ours} | {
         name: partial(adam_fit, start, truth, size, recipe) for name, recipe in RECIPES.items()
@@ -141,8 +141,8 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     true = fitted(truth)
     distance = np.linalg.norm(true[0])
 
-    def error(found: np.ndarray) -> float:
-        light, colors = np.split(np.abs(found - true), [1])
+    def error(values: np.ndarray) -> float:
+        light, colors = np.split(np.abs(values - true), [1])
         return float(max(np.linalg.norm(light[0]) / distance, colors[determined].max(initial=0)))
 
     points = _points("fit_matt", methods, error, settings)
@@ -180,8 +180,8 @@ def _points(
         k = min(_COMPILING_STEPS, len(first) - 1, len(curve) - 1)
         compiling = max(first[k][0] - curve[k][0], 0.0)
         for k in _spread(len(curve)):
-            seconds, found = curve[k]
-            one = f"step {k}", float(k), "float64", seconds, compiling, error(found), 0
+            seconds, values = curve[k]
+            one = f"step {k}", float(k), "float64", seconds, compiling, error(values), 0
             points.append(Point(diagram, method, *one))
     return tuple(points)
 

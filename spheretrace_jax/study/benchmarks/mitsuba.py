@@ -79,7 +79,7 @@ def mitsuba_scene(mi: Any, scene: Scene, size: int, shape: str = "sphere") -> An
     film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
     fov = float(np.degrees(2 * np.arctan(scene.camera.window / 2 / scene.camera.distance)))
     view = mi.ScalarTransform4f().look_at(origin=eye, target=eye + forward, up=up)
-    world = {
+    entries = {
         "type": "scene",
         "sensor": {"type": "perspective", "fov": fov, "to_world": view, "film": film},
         "light": {"type": "point", "position": light.tolist(), "intensity": intensity},
@@ -89,22 +89,22 @@ def mitsuba_scene(mi: Any, scene: Scene, size: int, shape: str = "sphere") -> An
     s = scene.spheres
     center, radius, color = (np.asarray(x) for x in (s.center, s.radius, s.kd[:, None] * s.color))
     if shape == "ellipsoids":
-        world["balls"] = {
+        entries["balls"] = {
             "type": "ellipsoids",
             "centers": mi.TensorXf(center),
             "scales": mi.TensorXf(np.repeat(radius[:, None], 3, axis=1)),
             "quaternions": mi.TensorXf(np.tile([0.0, 0, 0, 1], (len(radius), 1))),
             "extent": 1.0,
         }
-        return mi.load_dict(world)
+        return mi.load_dict(entries)
     for i in range(len(radius)):
-        world[f"ball{i}"] = {
+        entries[f"ball{i}"] = {
             "type": "sphere",
             "center": center[i].tolist(),
             "radius": float(radius[i]),
             "bsdf": {"type": "diffuse", "reflectance": rgb(color[i])},
         }
-    return mi.load_dict(world)
+    return mi.load_dict(entries)
 
 
 def adam_fit(start: Scene, truth: Scene, size: int, recipe: Recipe, seconds: float) -> Curve:
