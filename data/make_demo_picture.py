@@ -1,8 +1,8 @@
 """Renders nine_spheres.png, the demo's target, with POV-Ray 3.7: called by `make references`.
 
-POV-Ray draws it at twice the size, one ray per pixel; averaged 2 x 2 it is what four rays per
-pixel see. It draws it under half the light, so that its integers do not clip before the average.
-Stored as 16-bit sRGB, clipped at white as any picture from a camera.
+POV-Ray draws the picture at twice the size, one ray per pixel. Its 2 x 2 averages are the means of
+four rays per pixel. The light is halved, so that POV-Ray's integers do not clip before the average.
+The picture is stored as 16-bit sRGB, clipped at white as a camera's pictures are.
 """
 
 import subprocess
@@ -23,9 +23,9 @@ def main() -> None:
         scene = load_scene(HERE / "nine_spheres.txt")
         write_povray(pov, eqx.tree_at(lambda s: s.lights.color, scene, scene.lights.color / 2))
         size = [f"+W{2 * SIZE}", f"+H{2 * SIZE}"]
-        how = ["-A", "-D", "+FN16", "File_Gamma=1.0"]
+        output = ["-A", "-D", "+FN16", "File_Gamma=1.0"]
         subprocess.run(
-            ["povray", f"+I{pov}", f"+O{png}", *size, *how], check=True, capture_output=True
+            ["povray", f"+I{pov}", f"+O{png}", *size, *output], check=True, capture_output=True
         )
         fine = read_image(png, "linear")
     picture = 2 * fine.reshape(SIZE, 2, SIZE, 2, 3).mean(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""Recover where spheres are, how large they are, and their light, from an antialiased picture.
+"""Fits the positions and radii of spheres, and their light, to an antialiased picture.
 
 python examples/fit_geometry.py [--size 96] [--output fit_geometry.png]
 """
@@ -18,9 +18,9 @@ FREE = ("center", "radius", "light_position")
 
 
 def two_over_a_floor() -> st.Scene:
-    """Two spheres that throw shadows on a plane. Only antialiased edges have derivatives.
+    """Builds two spheres that cast shadows on a plane. Only antialiased edges have derivatives.
 
-    The plane is known: a world that is larger and farther by the same factor looks the same.
+    The plane is known: a scene that is larger and farther by the same factor looks the same.
     """
     spheres = st.Spheres(
         center=[[-50.0, 10, -10], [50, -30, 60]],
@@ -34,7 +34,7 @@ def two_over_a_floor() -> st.Scene:
 
 
 def displaced(scene: st.Scene) -> st.Scene:
-    """Centres off by half a radius, radii by 30 %, the light by 70 units."""
+    """Displaces centres by half a radius, radii by 30 % and the light by 70 units."""
     s = scene.spheres
     shift = jnp.array([[0.35, -0.35, 0], [-0.35, 0.35, 0]]) * s.radius[:, None]
     stretch = jnp.array([0.7, 1.3])
@@ -46,7 +46,7 @@ def displaced(scene: st.Scene) -> st.Scene:
 
 
 def errors(scene: st.Scene, truth: st.Scene) -> dict[str, float]:
-    """The largest error of a centre and a radius, per radius, and of the light, per distance."""
+    """Returns the largest errors: centres and radii per radius, the light per distance."""
     s, true = scene.spheres, truth.spheres
     light = np.linalg.norm(scene.lights.position - truth.lights.position)
     return {
@@ -57,7 +57,7 @@ def errors(scene: st.Scene, truth: st.Scene) -> dict[str, float]:
 
 
 def save(path: str, pictures: dict[str, np.ndarray]) -> None:
-    """Writes titled pictures in rows of four."""
+    """Writes pictures with their titles, in rows of four."""
     from matplotlib.figure import Figure
 
     rows = -(-len(pictures) // 4)
@@ -80,7 +80,7 @@ def main() -> None:
 
     truth = two_over_a_floor()
     start = displaced(truth)
-    needs = st.needs(truth, free=FREE)  # one compilation draws all scenes on the way
+    needs = st.needs(truth, free=FREE)  # one compilation for all scenes of the fit
     draw = lambda scene: np.asarray(
         st.render(scene, width=arguments.size, height=arguments.size, needs=needs)
     )
@@ -89,16 +89,17 @@ def main() -> None:
 
     def show(progress: Progress) -> None:
         steps.append(progress.scene)
-        off = ", ".join(f"{name} {e:.1e}" for name, e in errors(progress.scene, truth).items())
-        print(f"step {progress.step:2}: cost {progress.cost:.1e}, off by {off}")
+        error = ", ".join(f"{name} {e:.1e}" for name, e in errors(progress.scene, truth).items())
+        print(f"step {progress.step:2}: cost {progress.cost:.1e}, off by {error}")
 
-    found = st.fit(start, target, free=FREE, callback=show)
-    print(found.trust.verdict)
-    for name, error in errors(found.scene, truth).items():
+    result = st.fit(start, target, free=FREE, callback=show)
+    print(result.trust.verdict)
+    for name, error in errors(result.scene, truth).items():
         print(f"{name:15} largest error {error:.1e}")
-    some = np.unique(np.linspace(0, len(steps) - 1, 7).round().astype(int))
-    titles = {f"step {k}" if k else "start": steps[k] for k in some}
-    save(arguments.output, {"target": target} | {k: draw(scene) for k, scene in titles.items()})
+    shown = np.unique(np.linspace(0, len(steps) - 1, 7).round().astype(int))
+    scenes = {f"step {k}" if k else "start": steps[k] for k in shown}
+    pictures = {title: draw(scene) for title, scene in scenes.items()}
+    save(arguments.output, {"target": target} | pictures)
     print(f"{arguments.output}: the target and the fit over its steps")
 
 

@@ -1,4 +1,4 @@
-"""Recover colours, ka, kd, ks and the light of the nine spheres from their picture.
+"""Fits colours, ka, kd, ks and the light of the nine spheres to their picture.
 
 python examples/fit_picture.py [--size 96]
 """
@@ -27,13 +27,13 @@ def main() -> None:
     truth = st.load_scene(SCENE).with_antialias(0)  # single rays, which compile quickly
     target = st.render(truth, width=size, height=size, bounces=1)
     start = wrong_start(truth)
-    found = st.fit(
+    result = st.fit(
         start, target, bounces=1,
         callback=lambda p: print(f"step {p.step:2}: cost {p.cost:.3e}"),
     )  # fmt: skip
-    print(found.trust.verdict)
+    print(result.trust.verdict)
     true = determined_products(truth)
-    for name, value in determined_products(found.scene).items():
+    for name, value in determined_products(result.scene).items():
         print(f"{name:15} largest error {np.abs(value - true[name]).max():.1e}")
 
 

@@ -1,4 +1,4 @@
-"""Build a scene in Python, draw it, and differentiate the picture.
+"""Builds a scene in Python, draws it, and differentiates the picture.
 
 python examples/render_scene.py [--size 480] [--output bowl.png]
 """
@@ -13,7 +13,7 @@ import spheretrace_jax as st
 
 
 def bowl_of_marbles() -> st.Scene:
-    """Marbles on a checkered table, with one mirror ball and one bubble."""
+    """Builds marbles on a checkered table, with one mirror ball and one bubble."""
     angles = np.arange(7) * 2 * np.pi / 7
     ring = np.stack([150 * np.cos(angles), 150 * np.sin(angles), np.full(7, -40.0)], axis=1)
     hues = 0.5 + 0.4 * np.cos(angles[:, None] - [0, 2.1, 4.2])
@@ -47,15 +47,15 @@ def main() -> None:
     arguments = parser.parse_args()
     scene, size = bowl_of_marbles(), arguments.size
 
-    # edges are covered analytically; 2 x 2 parts of each pixel are for the checker's squares
+    # coverage is analytic at edges; 2 x 2 samples of each pixel are for the checker's squares
     picture = st.render(scene, width=size, height=size, bounces=3, samples=2)
     st.write_image(arguments.output, picture)
     print(f"{arguments.output}: {size} x {size}, mean colour {np.asarray(picture.mean((0, 1)))}")
 
-    # A render is a function like any other: how does the picture's mean depend on the scene?
-    # (Of single rays, which compile fast; edges add little to a mean.)
+    # render is a differentiable function: here the gradient of the picture's mean by the scene
+    # (with single rays, which compile fast; edges add little to a mean)
     scene = scene.with_antialias(0)
-    needs = st.needs(scene)  # under jax.grad the scene's numbers are unknown, so say what it needs
+    needs = st.needs(scene)  # outside jax.grad, which hides the scene's numbers
     mean = lambda s: jnp.mean(st.render(s, width=64, height=64, bounces=1, needs=needs))
     gradient = jax.jit(jax.grad(mean))(scene)
     print("d mean / d kd of each sphere:", np.asarray(gradient.spheres.kd).round(5))

@@ -1,8 +1,9 @@
-"""Draw the nine spheres and fit them on several devices, each of which looks at its own rows.
+"""Draws and fits the nine spheres on several devices, each with its rows of the picture.
 
 python examples/several_devices.py [--size 96] [--devices 4]
 
-The devices may be those of several processes, on this computer or on others. Each runs the same:
+The devices may belong to several processes, on one computer or on several. Each process runs this
+program:
 
 python examples/several_devices.py --address localhost:8476 --processes 2 --process 0
 python examples/several_devices.py --address localhost:8476 --processes 2 --process 1
@@ -39,27 +40,27 @@ def main() -> None:
     warnings.simplefilter("ignore", st.SceneWarning)
     size = dict(width=arguments.size, height=arguments.size)
 
-    # all devices side by side, and the picture's rows on one after the other
+    # a mesh of all devices, along which the picture's rows are divided
     mesh = jax.make_mesh((jax.device_count(),), ("rows",))
     sharding = NamedSharding(mesh, PartitionSpec("rows"))
 
     scene = st.load_scene(SCENE).with_antialias(0)
     picture = st.render(scene, **size, bounces=1, sharding=sharding)
-    for part in picture.addressable_shards:
-        first, last, _ = part.index[0].indices(arguments.size)
-        print(f"{part.device} has rows {first}..{last - 1}")
+    for shard in picture.addressable_shards:
+        first, last, _ = shard.index[0].indices(arguments.size)
+        print(f"{shard.device} has rows {first}..{last - 1}")
 
-    # of what lies with other processes only all together can make a whole
-    whole = np.asarray(process_allgather(picture, tiled=True))
-    alone = np.asarray(st.render(scene, **size, bounces=1))
-    print(f"one device draws the same to {np.abs(whole - alone).max():.0e}")
+    # the rows of other processes can only be gathered by all processes together
+    gathered = np.asarray(process_allgather(picture, tiled=True))
+    single = np.asarray(st.render(scene, **size, bounces=1))
+    print(f"one device draws the same to {np.abs(gathered - single).max():.0e}")
 
-    # each device sums up the normal equations of its own rows; what is found all of them know
+    # each device sums the normal equations of its rows; the solution is the same on all devices
     kd = lambda s: s.spheres.kd
     start = eqx.tree_at(kd, scene, 0.5 * kd(scene))
-    found = st.fit(start, picture, free=("kd", "ks"), bounces=1, sharding=sharding)
-    print(found.trust.verdict)
-    print(f"kd is off by {np.abs(np.asarray(kd(found.scene) - kd(scene))).max():.0e}")
+    result = st.fit(start, picture, free=("kd", "ks"), bounces=1, sharding=sharding)
+    print(result.trust.verdict)
+    print(f"kd is off by {np.abs(np.asarray(kd(result.scene) - kd(scene))).max():.0e}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Renders the reference pictures of references.json with POV-Ray 3.7: `make references`.
 
-Each NAME.txt becomes NAME.png beside it: 16 bits, linear, one ray per pixel or, with "samples": k,
-the average of k x k rays. Names given on the command line choose some of them.
+Each NAME.txt becomes NAME.png in the same folder: 16 bits, linear, one ray per pixel or, with
+"samples": k, the average of k x k rays. Names on the command line select pictures.
 """
 
 import json
@@ -20,19 +20,19 @@ HERE = Path(__file__).parent
 
 
 def render(reference: dict, folder: Path = HERE) -> None:
-    """Writes the picture of one entry of the table into `folder`, if all went well."""
+    """Renders the picture of one entry of the table into `folder`; exits if POV-Ray fails."""
     name = reference["name"]
     with tempfile.TemporaryDirectory() as temporary:
         pov, png = Path(temporary, f"{name}.pov"), Path(temporary, f"{name}.png")
         scene = load_scene(HERE / f"{name}.txt")
-        options = {key: reference[key] for key in ("highlight", "bounces")}
-        write_povray(pov, scene, **options, scene_path=f"{name}.txt")
+        settings = {key: reference[key] for key in ("highlight", "bounces")}
+        write_povray(pov, scene, **settings, scene_path=f"{name}.txt")
         samples = reference.get("samples", 1)
         size = [f"+W{samples * reference['width']}", f"+H{samples * reference['height']}"]
         # one ray per pixel, no window, linear numbers of 16 bits
-        how = ["-A", "-D", "+FN16", "File_Gamma=1.0"]
+        output = ["-A", "-D", "+FN16", "File_Gamma=1.0"]
         done = subprocess.run(
-            ["povray", f"+I{pov}", f"+O{png}", *size, *how], capture_output=True, text=True
+            ["povray", f"+I{pov}", f"+O{png}", *size, *output], capture_output=True, text=True
         )
         if done.returncode:
             sys.exit(f"{name}: povray failed\n{done.stderr}")

@@ -10,14 +10,14 @@ HERE = Path(__file__).parent
 
 
 def globe(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """The azimuth and the polar angle of every texel's centre, row 0 at the north pole."""
+    """Returns azimuth and polar angle of every texel's centre, row 0 at the north pole."""
     polar = np.pi * (np.arange(rows) + 0.5) / rows
     azimuth = 2 * np.pi * (np.arange(columns) + 0.5) / columns
     return azimuth[None, :], polar[:, None]
 
 
 def planet() -> np.ndarray:
-    """Two continents, an ice cap in the north only, and a meridian in red."""
+    """Draws two continents, an ice cap in the north only, and a meridian in red."""
     azimuth, polar = globe(32, 64)
     height = np.sin(2 * azimuth + 1) * np.sin(polar) + np.cos(3 * polar + np.sin(azimuth))
     land = np.broadcast_to((height > 0.4)[..., None], (32, 64, 3))
@@ -31,13 +31,13 @@ def planet() -> np.ndarray:
 
 
 def stars() -> np.ndarray:
-    """A band of dust and 200 stars at seeded places, every texel below 0.9."""
+    """Draws a band of dust and 200 stars at seeded positions, every texel below 0.9."""
     random = np.random.default_rng(1)
     azimuth, polar = globe(64, 128)
     band = np.exp(-8 * (np.cos(polar) - 0.3 * np.sin(azimuth)) ** 2)
     color = band[..., None] * [0.25, 0.2, 0.3] + [0.02, 0.02, 0.06]
-    places = random.integers(64, size=200), random.integers(128, size=200)
-    color[places] = random.uniform(0.3, 0.9, (200, 1)) * random.uniform(0.7, 1.0, (200, 3))
+    texels = random.integers(64, size=200), random.integers(128, size=200)
+    color[texels] = random.uniform(0.3, 0.9, (200, 1)) * random.uniform(0.7, 1.0, (200, 3))
     return color
 
 

@@ -1,1 +1,1 @@
-"""The command line `spheretrace`."""
+"""The command line `spheretrace`: commands, reports and progress."""

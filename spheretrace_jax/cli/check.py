@@ -1,4 +1,4 @@
-"""What `spheretrace check` prints: derivatives, rounding, and what a fit would find."""
+"""The report of `spheretrace check`: derivatives, rounding, and the conditioning of a fit."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,21 +11,21 @@ from ..study.checks.stability import StabilityTable, check_stability
 from .info import print_table
 from .progress import busy
 
-# Of more pixels than these only the worst are shown.
+# Limit of the pixels shown, the worst first.
 _MOST_PIXELS = 10
 
 
 def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
-    """Checks a scene and prints what is found, part by part.
+    """Checks a scene and prints the results, check by check.
 
-    **Arguments:** `free`: what a fit would find, by default what `fit` does. `picture`: size,
+    **Arguments:** `free`: the free parameters of a fit, by default those of `fit`. `picture`: size,
     highlight, bounces and samples, as for `render`.
 
-    **Returns:** whether all is well: derivatives agree, float32 shows what float64 does, and a
-    fit would be well conditioned.
+    **Returns:** True if derivatives agree, float32 shows the same picture as float64, and a fit
+    would be well conditioned.
     """
-    known = needs(scene, free=present(scene))  # the same for all, so that programs are shared
-    # first, as it says at once what is wrong with the names
+    known = needs(scene, free=present(scene))  # one for all checks, which then share programs
+    # first, as this check fails at once for unknown names
     with busy("what a fit would find"):
         condition = check_condition(scene, free=free, needs=known, **picture)
     with busy("float32 against float64"):
@@ -39,8 +39,9 @@ def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
 
 
 def _print_gradients(table: GradientTable) -> None:
-    good = "agree" if table.ok else "do NOT agree"
-    _say(f"derivatives: forward mode, reverse mode and differences {good}")
+    """Prints the agreement of the derivatives."""
+    agreement = "agree" if table.ok else "do NOT agree"
+    _print_lines(f"derivatives: forward mode, reverse mode and differences {agreement}")
     rows = [
         (
             row.parameter, f"{row.forward:.1e}", f"{row.reverse:.1e}", f"{row.largest:.1e}",
@@ -49,15 +50,16 @@ def _print_gradients(table: GradientTable) -> None:
         for row in table.rows
     ]  # fmt: skip
     print_table(("parameter", "jvp - fd", "vjp - jvp", "largest", "pixels left out", "agree"), rows)
-    _say(*table.words, "")
+    _print_lines(*table.words, "")
 
 
 def _print_stability(table: StabilityTable) -> None:
-    good = "shows the same" if table.ok else "does NOT show the same"
-    _say(
-        f"float32 {good} as float64: median error {table.median:.1e}, largest {table.largest:.1e}; "
-        f"{table.shown} of {table.pixels} pixels ({table.share:.2g} of the picture) are off by "
-        f"more than {table.limit:.1e}"
+    """Prints the differences between float32 and float64."""
+    agreement = "shows the same" if table.ok else "does NOT show the same"
+    _print_lines(
+        f"float32 {agreement} as float64: median error {table.median:.1e}, "
+        f"largest {table.largest:.1e}; {table.shown} of {table.pixels} pixels "
+        f"({table.share:.2g} of the picture) are off by more than {table.limit:.1e}"
     )
     rows = [
         (
@@ -68,17 +70,19 @@ def _print_stability(table: StabilityTable) -> None:
     ]  # fmt: skip
     if rows:
         print_table(("column", "row", "error", "ulps", "cause", "factor", "where"), rows)
-    _say(*table.warnings, "")
+    _print_lines(*table.warnings, "")
 
 
 def _print_condition(condition: Condition) -> None:
-    good = "is well conditioned" if condition.ok else "is NOT well conditioned"
-    _say(
-        f"a fit of {', '.join(condition.names)} {good}: {condition.rank} of {condition.free} free "
-        f"numbers are determined, condition number {condition.number:.1e}",
+    """Prints the conditioning of a fit."""
+    agreement = "is well conditioned" if condition.ok else "is NOT well conditioned"
+    _print_lines(
+        f"a fit of {', '.join(condition.names)} {agreement}: {condition.rank} of {condition.free} "
+        f"free numbers are determined, condition number {condition.number:.1e}",
         *condition.warnings,
     )
 
 
-def _say(*lines: str) -> None:
+def _print_lines(*lines: str) -> None:
+    """Prints lines."""
     print(*lines, sep="\n")

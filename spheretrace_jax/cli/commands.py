@@ -1,41 +1,35 @@
-"""What the commands `spheretrace render | fit | check | study | info | convert | demo` do."""
+"""The commands `spheretrace render | fit | check | study | info | convert`."""
 
-import os
-import re
 import time
-from dataclasses import dataclass, field
-from importlib import resources
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
 from ..base.errors import InputError
 from ..fit.fit import DEFAULT_FREE
 from ..fit.model.parameters import NAMES
-from .progress import busy, fit_with_progress, report_with_progress, study_with_progress
-
-Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
-Highlight = Annotated[Literal["phong", "blinn"], arg(help="(R.V)^n or (H.N)^n")]
-Bounces = Annotated[int, arg(metavar="N", help="reflections and transmissions at most")]
-Samples = Annotated[
-    int, arg(metavar="K", help="each pixel is the mean of K x K parts, as the antialias flag says")
-]
-SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
-
-
-@dataclass
-class Drawing:
-    """What all commands that draw pictures, and so compile programs, have in common."""
-
-    cache: Annotated[
-        Path | None,
-        arg(metavar="DIR", help="keep compiled programs in this folder, and take them from there"),
-    ] = field(default=None, kw_only=True)
+from . import progress
+from .arguments import (
+    Command,
+    Compiling,
+    Dtype,
+    HighlightModel,
+    OptionalBounces,
+    Sampling,
+    SceneFile,
+    Size,
+    Sized,
+    Tracing,
+    check_folder,
+    names_in,
+)
+from .demo import DemoCommand
 
 
-@dataclass
-class Render(Drawing):
+@dataclass(kw_only=True)
+class RenderCommand(Sampling, Sized, Compiling):
     """Draw a scene to a picture file.
 
     The ending of IMAGE chooses the format: exr and hdr hold linear numbers, unclamped; png, ppm,
@@ -44,10 +38,6 @@ class Render(Drawing):
 
     scene: SceneFile
     output: Annotated[Path, arg(aliases=["-o"], metavar="IMAGE", help="the picture to write")]
-    size: Annotated[str, arg(metavar="WxH", help="width and height in pixels")] = "512x512"
-    highlight: Highlight = "phong"
-    bounces: Bounces = 5
-    samples: Samples = 1
     dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how to code the file's numbers")
@@ -57,34 +47,33 @@ class Render(Drawing):
     ] = None
 
     def run(self) -> int:
-        from .. import load_scene, write_image
+        """Renders the scene and writes its picture."""
+        from .. import render, write_image
+        from ..files.formats import read_scene
         from ..files.images import check_writable
         from ..files.scene_text import scene_text
-        from ..rendering.render import render
 
-        width, height = _size(self.size)
+        size = self.width_height
+        shown = "{width} x {height}".format(**size)
         check_writable(self.output, self.bits)
-        scene = load_scene(self.scene, self.dtype)
+        scene = read_scene(self.scene, self.dtype)
         start = time.perf_counter()
-        with busy(f"rendering {width} x {height}"):
-            picture = render(
-                scene, width=width, height=height, highlight=self.highlight, bounces=self.bounces,
-                samples=self.samples,
-            ).block_until_ready()  # fmt: skip
+        with progress.busy(f"rendering {shown}"):
+            picture = render(scene, **size, **self.settings).block_until_ready()
         seconds = time.perf_counter() - start
         text = scene_text(scene, self.output.parent)
         write_image(self.output, picture, colorspace=self.colorspace, bits=self.bits, scene=text)
-        print(f"{self.output}: {width} x {height}, {seconds:.2f} s with compilation")
+        print(f"{self.output}: {shown}, {seconds:.2f} s with compilation")
         return 0
 
 
-@dataclass
-class FitCommand(Drawing):
+@dataclass(kw_only=True)
+class FitCommand(Sampling, Compiling):
     """Find the scene that looks like a picture, starting from SCENE.
 
-    SCENE holds what is known (geometry, camera) and the first guess of what is free. Writes the
-    best scene, also when it is interrupted, and says what TARGET does not determine. Exit status
-    1: the fit did not converge, or what it found does not explain TARGET.
+    SCENE holds the known parameters (geometry, camera) and the first guess of the free ones. Writes
+    the best scene, also when it is interrupted, and says what TARGET does not determine. Exit
+    status 1: the fit did not converge, or its scene does not explain TARGET.
     """
 
     scene: SceneFile
@@ -94,14 +83,8 @@ class FitCommand(Drawing):
     ]
     free: Annotated[
         str,
-        arg(
-            metavar="NAMES",
-            help=f"what to fit, with commas: {', '.join(NAMES)}",
-        ),
+        arg(metavar="NAMES", help=f"what to fit, with commas: {', '.join(NAMES)}"),
     ] = ",".join(DEFAULT_FREE)
-    highlight: Highlight = "phong"
-    bounces: Bounces = 5
-    samples: Samples = 1
     dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
@@ -133,35 +116,39 @@ class FitCommand(Drawing):
     ] = None
 
     def run(self) -> int:
-        from .. import load_scene, read_image, save_scene
-        from ..files.atomic import check_place
+        """Fits the scene, and writes it and the report."""
+        from .. import read_image, save_scene
+        from ..files.atomic import check_target
+        from ..files.formats import read_scene
 
-        free = _names(self.free)
-        check_place(self.output)
+        free = names_in(self.free)
+        check_target(self.output)
         check_folder(self.report)
-        scene = load_scene(self.scene, self.dtype)
+        scene = read_scene(self.scene, self.dtype)
         target = read_image(self.target, self.colorspace)
-        settings = dict(highlight=self.highlight, bounces=self.bounces, samples=self.samples)
-        found = fit_with_progress(
+        result = progress.fit_with_progress(
             scene, target, free=free, max_steps=self.max_steps, mask=self._mask(),
             darkest=self.darkest, noise=self.noise, loss=self.loss, start=self.start,
-            gauge=self.gauge, **settings,
+            gauge=self.gauge, **self.settings,
         )  # fmt: skip
-        save_scene(self.output, found.scene)
-        print(f"{self.output}: {found.trust}")
+        save_scene(self.output, result.scene)
+        print(f"{self.output}: {result.trust}")
         if self.report is not None:
-            for file in report_with_progress(self.report, found, scene, target, free, settings):
+            for file in progress.report_with_progress(
+                self.report, result, scene, target, free, self.settings
+            ):
                 print(file)
-        return 130 if found.interrupted else 0 if found.trust.ok else 1
+        return 130 if result.interrupted else 0 if result.trust.ok else 1
 
     def _mask(self):
+        """Reads the mask: False where all channels are black."""
         from .. import read_image
 
         return None if self.mask is None else (read_image(self.mask) > 0).any(axis=-1)
 
 
-@dataclass
-class Check(Drawing):
+@dataclass(kw_only=True)
+class CheckCommand(Sampling, Sized, Compiling):
     """See whether a scene's derivatives, its picture in float32 and its fits can be trusted.
 
     Compares forward mode, reverse mode and differences by every parameter; float32 with float64,
@@ -169,36 +156,34 @@ class Check(Drawing):
     Exit status 1: something is not to be trusted.
     """
 
+    always_double: ClassVar[bool] = True
+
     scene: SceneFile
-    size: Annotated[str, arg(metavar="WxH", help="width and height in pixels")] = "64x64"
-    highlight: Highlight = "phong"
-    bounces: Bounces = 5
-    samples: Samples = 1
+    size: Size = "64x64"
     free: Annotated[
         str | None, arg(metavar="NAMES", help="what a fit would find, as for the command fit")
     ] = None
 
     def run(self) -> int:
-        from .. import load_scene
+        """Checks the scene and prints the results."""
+        from ..files.formats import read_scene
         from .check import check
 
-        width, height = _size(self.size)
-        scene = load_scene(self.scene, "float64")  # as main allows
-        free = None if self.free is None else _names(self.free)
-        sound = check(
-            scene, free, width=width, height=height, highlight=self.highlight,
-            bounces=self.bounces, samples=self.samples,
-        )  # fmt: skip
-        return 0 if sound else 1
+        size = self.width_height
+        scene = read_scene(self.scene, "float64")
+        free = None if self.free is None else names_in(self.free)
+        return 0 if check(scene, free, **size, **self.settings) else 1
 
 
-@dataclass
-class Study(Drawing):
+@dataclass(kw_only=True)
+class StudyCommand(Compiling):
     """Measure error against run time on a scene, and draw it.
 
-    Pictures, derivatives, fits by every solver, and how time and memory grow: work-precision
-    diagrams, each against a truth that is found in another way, with a page that reads them.
+    Pictures, derivatives, fits by every solver, and the growth of time and memory: work-precision
+    diagrams, each against a reference of another method, with a page that explains them.
     """
+
+    always_double: ClassVar[bool] = True
 
     scene: SceneFile
     report: Annotated[
@@ -208,168 +193,76 @@ class Study(Drawing):
     parts: Annotated[
         str, arg(metavar="NAMES", help="what to study, with commas")
     ] = "picture,derivative,fit,scale"  # fmt: skip
-    highlight: Highlight = "phong"
-    bounces: Annotated[
-        int | None, arg(metavar="N", help="reflections and transmissions at most")
-    ] = None
+    highlight: HighlightModel = "phong"
+    bounces: OptionalBounces = None
     seed: Annotated[int, arg(metavar="S", help="of the directions in which things move")] = 0
 
     def run(self) -> int:
-        from .. import load_scene
+        """Measures, and writes the page and its figures."""
+        from ..files.formats import read_scene
         from .diagrams import write_study
 
         check_folder(self.report)
-        scene = load_scene(self.scene, "float64")  # as main allows
+        scene = read_scene(self.scene, "float64")
         bounces = {} if self.bounces is None else dict(bounces=self.bounces)
-        found = study_with_progress(
-            scene, parts=_names(self.parts), quick=self.quick, highlight=self.highlight,
+        measured = progress.study_with_progress(
+            scene, parts=names_in(self.parts), quick=self.quick, highlight=self.highlight,
             seed=self.seed, **bounces,
         )  # fmt: skip
-        print("written:", *write_study(self.report, found), sep="\n  ")
+        print("written:", *write_study(self.report, measured), sep="\n  ")
         return 0
 
 
-@dataclass
-class Info:
+@dataclass(kw_only=True)
+class InfoCommand(Command):
     """Show a scene as a table: what is in it, what its picture needs, what is left out and why."""
 
     scene: SceneFile
 
     def run(self) -> int:
-        from .. import load_scene
+        """Prints the scene and its needs."""
+        from ..files.formats import read_scene
         from ..study.benchmarks.feature_cost import feature_costs
         from .info import print_needs, print_scene
 
-        scene = load_scene(self.scene)
+        scene = read_scene(self.scene)
         print_scene(self.scene, scene)
-        with busy("counting operations"):
+        with progress.busy("counting operations"):
             costs = feature_costs(scene)
         print_needs(scene, costs)
         return 0
 
 
-@dataclass
-class Convert:
+@dataclass(kw_only=True)
+class ConvertCommand(Tracing):
     """Write a scene for POV-Ray 3.7, whose picture is then the same."""
+
+    always_double: ClassVar[bool] = True
 
     scene: SceneFile
     output: Positional[Annotated[Path, arg(metavar="OUT.pov", help="the POV-Ray file to write")]]
-    highlight: Highlight = "phong"
-    bounces: Bounces = 5
 
     def run(self) -> int:
-        from .. import load_scene, write_povray
+        """Writes the scene in the format of the output's ending."""
+        from ..files.formats import EXPORT_FORMATS, read_scene
 
-        if self.output.suffix != ".pov":
-            raise InputError(f"{self.output}: expected a file that ends in .pov")
-        scene = load_scene(self.scene, "float64")  # as main allows
-        write_povray(
-            self.output, scene, highlight=self.highlight, bounces=self.bounces,
-            scene_path=self.scene,
-        )  # fmt: skip
-        print(
-            f"{self.output}: render it with povray +W512 +H512 -A +FN16 File_Gamma=1 {self.output}"
-        )
+        if self.output.suffix not in EXPORT_FORMATS:
+            endings = " or ".join(EXPORT_FORMATS)
+            raise InputError(f"{self.output}: expected a file that ends in {endings}")
+        exported = EXPORT_FORMATS[self.output.suffix]
+        scene = read_scene(self.scene, "float64")
+        exported.write(self.output, scene, scene_path=self.scene, **self.settings)
+        print(f"{self.output}: render it with {exported.usage.format(file=self.output)}")
         return 0
 
 
-@dataclass
-class Demo(Drawing):
-    """Fit the nine-sphere scene to a picture that POV-Ray rendered, from a wrong start.
-
-    All colours, ka, kd, ks and the light's position start wrong and are recovered.
-    """
-
-    output: Annotated[
-        Path, arg(aliases=["-o"], metavar="DIR", help="the folder to write to")
-    ] = Path("spheretrace_demo")  # fmt: skip
-    dtype: Dtype = "float32"
-
-    def run(self) -> int:
-        from .. import load_scene, read_image, save_scene, write_image
-        from ..fit.model.products import determined_products
-        from ..rendering.render import render
-        from ..study.wrong_start import wrong_start
-
-        check_folder(self.output)
-        data = data_folder()
-        # the target's pixels are the mean of 2 x 2 single rays, and so are those of the fit
-        truth = load_scene(data / "nine_spheres.txt", self.dtype).with_antialias(0)
-        settings = dict(samples=2)
-        target = read_image(data / "nine_spheres.png")
-        start = wrong_start(truth)
-        found = fit_with_progress(start, target, **settings)
-        self.output.mkdir(parents=True, exist_ok=True)
-        smooth = found.scene.with_antialias(1)
-        save_scene(self.output / "fitted.txt", smooth)
-        with busy("rendering the fitted scene"):
-            write_image(self.output / "fitted.png", render(smooth))
-        files = [self.output / "fitted.txt", self.output / "fitted.png"]
-        files += report_with_progress(self.output, found, start, target, DEFAULT_FREE, settings)
-        print(f"the fit {found.trust.verdict}")
-        print("largest error against the file that POV-Ray rendered:")
-        pairs = zip(
-            determined_products(found.scene).items(),
-            determined_products(start).values(),
-            strict=True,
-        )
-        for (name, value), first in pairs:
-            true = determined_products(truth)[name]
-            error, at_start = (abs(x - true).max() for x in (value, first))
-            print(f"  {name:15} {error:9.2e}   (start: {at_start:.2e})")
-        print("written:", *files, sep="\n  ")
-        return 0 if found.trust.ok else 1
-
-
-def _size(text: str) -> tuple[int, int]:
-    from ..files.images import MOST_PIXELS
-
-    match = re.fullmatch(r"([1-9]\d{0,8})x([1-9]\d{0,8})", text, re.ASCII)
-    if not match:
-        raise InputError(f"--size must be WIDTHxHEIGHT in pixels, such as 512x512, got {text!r}")
-    width, height = int(match[1]), int(match[2])
-    if width * height > MOST_PIXELS:
-        raise InputError(f"--size must be at most {MOST_PIXELS} pixels in all, got {text}")
-    return width, height
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def check_folder(folder: Path | None) -> None:
-    """Says early that a folder can neither be written to nor made."""
-    if folder is None:
-        return
-    there = next(f for f in (folder, *folder.parents) if f.exists())
-    if not there.is_dir():
-        what = "this" if there == folder else there
-        raise InputError(f"{folder}: expected a folder to write to, {what} is a file")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: the folder {there} cannot be written to")
-
-
-def data_folder() -> Path:
-    """Where the demo's scene and picture are: in the installed package, or in the source tree."""
-    installed = Path(str(resources.files("spheretrace_jax"))) / "data"
-    folder = installed if installed.is_dir() else Path(__file__).parents[2] / "data"
-    if not (folder / "nine_spheres.png").is_file():
-        raise InputError(
-            "the demo's data are missing from this installation: reinstall the package"
-        )
-    return folder
-
-
-#: By name, in the order of the help.
-COMMANDS = {
-    "render": Render,
+#: The commands by name, in the order of the help.
+COMMANDS: dict[str, type[Command]] = {
+    "render": RenderCommand,
     "fit": FitCommand,
-    "check": Check,
-    "study": Study,
-    "info": Info,
-    "convert": Convert,
-    "demo": Demo,
+    "check": CheckCommand,
+    "study": StudyCommand,
+    "info": InfoCommand,
+    "convert": ConvertCommand,
+    "demo": DemoCommand,
 }
-
-#: Those that work in float64 whatever the precision of the picture.
-DOUBLE = (Check, Study, Convert)

@@ -1,4 +1,4 @@
-"""A study as files: figures, every point in a table, and a page that says what they show."""
+"""The report of a study: figures, a table of all points, and a page that explains them."""
 
 import csv
 import dataclasses
@@ -17,27 +17,28 @@ _MARKERS = "os^vD<>pPX*"
 
 
 def write_study(folder: str | os.PathLike, study: Study) -> list[Path]:
-    """Writes `study.md`, `points.csv` and each diagram as PNG and SVG, to a folder made if need be.
+    """Writes `study.md`, `points.csv` and each diagram as PNG and SVG; makes the folder.
 
     **Returns:** the files written.
 
-    **Raises:** `OSError` if they cannot be.
+    **Raises:** `OSError` if the files cannot be written.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "study.md", folder / "points.csv"]
     for diagram in study.diagrams:
-        drawn = _growth(diagram) if not diagram.error else _work_precision(diagram)
+        figure = _growth(diagram) if not diagram.error else _work_precision(diagram)
         for ending in ("png", "svg"):
             files.append(folder / f"{diagram.name}.{ending}")
-            save_figure(drawn, files[-1])
-            drawn.set_layout_engine("none")  # it is laid out now, which takes longest
+            save_figure(figure, files[-1])
+            figure.set_layout_engine("none")  # the layout takes longest, and is done
     write_text(files[1], _points(study))
     write_text(files[0], _page(study))
     return files
 
 
 def _points(study: Study) -> str:
+    """Returns all points as comma-separated values, with the seed and the machine."""
     text = io.StringIO()
     names = [field.name for field in dataclasses.fields(Point)]
     rows = csv.writer(text, lineterminator="\n")
@@ -50,28 +51,29 @@ def _points(study: Study) -> str:
 
 
 def _page(study: Study) -> str:
-    chosen = study.settings
+    """Returns the page, in Markdown."""
+    settings = study.settings
     about = ", ".join(f"{name} {value}" for name, value in study.machine.items())
-    parts = [
+    paragraphs = [
         "# Error against run time",
-        f"Measured on {about}; highlights {chosen.highlight}, bounces {chosen.bounces}, seed "
-        f"{chosen.seed}. Times are medians of interleaved runs without compilation, which is "
-        "apart and leaves out what methods before in the same table had compiled. Every point is "
-        "in [points.csv](points.csv).",
+        f"Measured on {about}; highlights {settings.highlight}, bounces {settings.bounces}, seed "
+        f"{settings.seed}. Times are medians of interleaved runs without compilation. "
+        "Compilation times are listed apart, without programs that earlier methods of the same "
+        "table had compiled. All points are in [points.csv](points.csv).",
     ]
     for diagram in study.diagrams:
-        parts += [
+        paragraphs += [
             f"## {diagram.title}",
             f"![{diagram.title}]({diagram.name}.png)",
             " ".join(caption(diagram)),
             f"Truth: {diagram.reference}." if diagram.error else f"{diagram.reference}.",
             _table(diagram),
         ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(paragraphs) + "\n"
 
 
 def _table(diagram: Diagram) -> str:
-    """One line per method: where it starts and ends, and what compiling it took."""
+    """Returns a table: for each method the ends of its curve, and the time of compilation."""
     if diagram.error:
         lines = ["| method | from | to | compilation |", "|---|---|---|---|"]
         say = lambda p: f"{p.error:.1e} in {seconds(p.seconds)} ({p.knob})"
@@ -86,8 +88,9 @@ def _table(diagram: Diagram) -> str:
 
 
 def _work_precision(diagram: Diagram):
-    drawn = new_figure(8.0, 4.6)
-    ax = drawn.subplots()
+    """Draws error against time."""
+    figure = new_figure(8.0, 4.6)
+    ax = figure.subplots()
     for (method, points), marker in zip(diagram.curves.items(), _MARKERS * 9, strict=False):
         ax.loglog(
             [p.seconds for p in points], [p.error for p in points], marker=marker, label=method,
@@ -96,13 +99,14 @@ def _work_precision(diagram: Diagram):
     if math.isfinite(diagram.uncertainty):
         ax.axhline(diagram.uncertainty, color="grey", linestyle=":", label="the truth is known to")
     ax.set(xlabel="seconds, without compilation", ylabel=diagram.error)
-    _finish(drawn, ax, diagram.title)
-    return drawn
+    _finish(figure, ax, diagram.title)
+    return figure
 
 
 def _growth(diagram: Diagram):
-    drawn = new_figure(9.0, 3.8)
-    time, memory = drawn.subplots(1, 2)
+    """Draws time and memory against a size."""
+    figure = new_figure(9.0, 3.8)
+    time, memory = figure.subplots(1, 2)
     for work, points in diagram.curves.items():
         size = [p.size for p in points]
         time.loglog(size, [p.seconds for p in points], marker="o", label=work)
@@ -110,11 +114,12 @@ def _growth(diagram: Diagram):
     time.set(xlabel=diagram.knob, ylabel="seconds")
     memory.set(xlabel=diagram.knob, ylabel="temporaries, MB")
     memory.grid(alpha=0.3)
-    _finish(drawn, time, diagram.title)
-    return drawn
+    _finish(figure, time, diagram.title)
+    return figure
 
 
-def _finish(drawn, ax, title: str) -> None:
+def _finish(figure, ax, title: str) -> None:
+    """Adds the title, the legend and a grid."""
     ax.grid(alpha=0.3, which="both")
-    drawn.suptitle(title)
-    drawn.legend(loc="outside right center", fontsize="small")
+    figure.suptitle(title)
+    figure.legend(loc="outside right center", fontsize="small")

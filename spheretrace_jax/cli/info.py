@@ -1,4 +1,4 @@
-"""A scene as tables, as `spheretrace info` prints it: what is in it, and what its picture needs."""
+"""The report of `spheretrace info`: tables of a scene and of its picture's needs."""
 
 from collections.abc import Sequence, Sized
 from pathlib import Path
@@ -8,19 +8,19 @@ import numpy as np
 from ..scene.needs import left_out
 from ..scene.scene import Scene
 
-# Of more spheres than these only the first are shown.
+# Limit of the spheres shown, the first ones.
 _MOST_SPHERES = 50
 
 
 def print_scene(file: Path, scene: Scene) -> None:
-    """Prints what a scene file holds."""
+    """Prints the content of a scene file."""
     from rich.console import Console
 
     console = Console()
     c, s = scene.camera, scene.spheres
     console.print(
-        f"{file}: {_some(s, 'sphere')}, {_some(scene.lights, 'light')}, "
-        f"{_some(scene.planes, 'plane')}, {_some(scene.textures, 'texture')}"
+        f"{file}: {_counted(s, 'sphere')}, {_counted(scene.lights, 'light')}, "
+        f"{_counted(scene.planes, 'plane')}, {_counted(scene.textures, 'texture')}"
         f"{', the back plane' if scene.back_plane is not None else ''}",
         highlight=False,
         markup=False,
@@ -44,7 +44,7 @@ def print_scene(file: Path, scene: Scene) -> None:
 
 
 def print_needs(scene: Scene, costs: dict[str, float]) -> None:
-    """Prints what a picture needs and what is left out. **Arguments:** `costs`: as `cost.saved`."""
+    """Prints the needs of a picture. **Arguments:** `costs`: those of `feature_costs`."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -69,8 +69,10 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def _short(value) -> str:
+    """Returns numbers with up to six digits each."""
     return " ".join(f"{float(x):g}" for x in np.atleast_1d(np.asarray(value)))
 
 
-def _some(things: Sized, name: str) -> str:
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
+def _counted(objects: Sized, name: str) -> str:
+    """Returns the number of objects, with their name in the singular or the plural."""
+    return f"{len(objects)} {name}{'' if len(objects) == 1 else 's'}"

@@ -1,7 +1,7 @@
 """The command line: `spheretrace COMMAND ...`, with the commands of `commands.py`.
 
-Errors that a user can cause are one line and exit status 2; a fit that did not converge, or a scene
-that does not check, exits with 1, an interrupted one with 130.
+Errors that a user can cause print one line and exit with status 2. A fit that did not converge and
+a scene that fails a check exit with 1, interrupted programs with 130.
 """
 
 import _thread
@@ -15,11 +15,12 @@ from pathlib import Path
 import tyro
 
 from ..base.errors import InputError, SceneWarning
-from .commands import COMMANDS, DOUBLE, check_folder
+from .arguments import Command, check_folder
+from .commands import COMMANDS
 
 
 def main() -> None:
-    """The entry point of the `spheretrace` program."""
+    """Runs the program `spheretrace`: its entry point."""
     import jax
 
     sys.unraisablehook = _interrupt_again
@@ -37,49 +38,53 @@ def main() -> None:
     except KeyboardInterrupt:
         print("spheretrace: interrupted", file=sys.stderr)
         status = 130
-    _forget_unprinted()
-    if status == 130:  # a compiler that was interrupted may crash as Python takes it down
+    _discard_unprinted()
+    if status == 130:  # an interrupted compiler may crash during Python's exit
         os._exit(status)
     sys.exit(status)
 
 
 def _run() -> int:
-    """Does what the words of the command line ask for."""
+    """Parses the command line and runs the command. **Returns:** the exit status."""
     import jax
 
-    command = tyro.extras.subcommand_cli_from_dict(
+    command: Command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="spheretrace",
         description="Draw worlds of spheres, and find the world that a picture shows.",
         config=(tyro.conf.OmitArgPrefixes,),
     )
     warnings.showwarning = _show_warning
-    double = getattr(command, "dtype", "float32") == "float64" or isinstance(command, DOUBLE)
+    double = getattr(command, "dtype", "float32") == "float64" or command.always_double
     _check_counts(command)
     if (cache := getattr(command, "cache", None)) is not None:
-        _keep_compiled(cache)
+        _use_cache(cache)
     with jax.enable_x64(True) if double else nullcontext():
         return command.run()
 
 
 def _interrupt_again(lost) -> None:
-    """An interrupt while JAX collects garbage would only be printed, and the program go on."""
+    """Repeats an interrupt that arrives while JAX collects garbage.
+
+    Python would only print such an interrupt, and the program would go on.
+    """
     if issubclass(lost.exc_type, KeyboardInterrupt):
-        # a moment later, when this is over
+        # a moment later, after the collection
         threading.Timer(0.01, _thread.interrupt_main).start()
     else:
         sys.__unraisablehook__(lost)
 
 
 def _one_line(error: Exception) -> str:
+    """Returns the message of an error on one line."""
     if isinstance(error, OSError) and error.errno is not None:
-        # files are named where they are written
+        # writers name their files, so an error without a name is one of printing
         return f"{error.filename or 'standard output'}: {error.strerror}"
     return " ".join(str(error).split())
 
 
-def _forget_unprinted() -> None:
-    """Or Python itself would complain at its end of a full disk or a closed pipe."""
+def _discard_unprinted() -> None:
+    """Discards output that cannot be printed: Python would report a full disk or a closed pipe."""
     try:
         print(end="", flush=True)
     except OSError:
@@ -87,24 +92,26 @@ def _forget_unprinted() -> None:
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    """Prints a warning on one line."""
     prefix = "" if issubclass(category, SceneWarning) else f"{category.__name__}: "
     print(f"spheretrace: warning: {prefix}{message}", file=sys.stderr)
 
 
-def _check_counts(command) -> None:
+def _check_counts(command: Command) -> None:
+    """Checks the counts of a command. **Raises:** `InputError`."""
     for name, least in (("bounces", 0), ("samples", 1), ("max_steps", 1)):
         value = getattr(command, name, None)
         if value is not None and value < least:
             raise InputError(f"--{name.replace('_', '-')} must be at least {least}, got {value}")
 
 
-def _keep_compiled(folder: Path) -> None:
-    """Has JAX keep in a folder what it compiles, in this process."""
+def _use_cache(folder: Path) -> None:
+    """Sets JAX's compilation cache of this process to a folder."""
     import jax
 
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(folder.resolve()))
-    # every program: by itself JAX keeps none that took less than a second, as most of ours do
+    # all programs: by default JAX keeps none that compiled in less than a second, as most do
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

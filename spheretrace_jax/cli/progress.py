@@ -1,17 +1,17 @@
-"""What the command line shows while something takes longer than a blink."""
+"""Progress bars and spinners of the command line."""
 
 from pathlib import Path
 
 
 def busy(text: str):
-    """A spinner, as a context."""
+    """Returns a spinner, as a context."""
     from rich.console import Console
 
     return Console(stderr=True).status(text)
 
 
 def _bar(*columns):
-    """A bar of progress, as a context; hidden where it would leave an empty line."""
+    """Returns a progress bar, as a context; hidden outside terminals, which show empty lines."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -20,7 +20,7 @@ def _bar(*columns):
 
 
 def fit_with_progress(scene, target, **settings):
-    """`fit` with a bar that shows its steps. **Arguments:** as for `fit`."""
+    """Runs `fit` with a bar of its steps. **Arguments, returns:** as for `fit`."""
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from .. import fit
@@ -40,24 +40,30 @@ def fit_with_progress(scene, target, **settings):
         return fit(scene, target, callback=show, **settings)
 
 
-def report_with_progress(folder: Path, found, start, target, free, settings) -> list[Path]:
-    """Writes a fit's report. **Arguments:** as for `write_report`; `settings`: of the pictures."""
+def report_with_progress(folder: Path, result, start, target, free, settings) -> list[Path]:
+    """Renders the pictures of a fit's report and writes the report.
+
+    **Arguments:** as for `write_report`. `settings`: highlight, bounces and samples, as for
+    `render`.
+
+    **Returns:** the files written.
+    """
     import numpy as np
 
-    from ..rendering.render import render
+    from .. import render
     from .report import write_report
 
     height, width = target.shape[:2]
     with busy("writing the report"):
         before, after = (
             np.asarray(render(scene, width=width, height=height, **settings))
-            for scene in (start, found.scene)
+            for scene in (start, result.scene)
         )
-        return write_report(folder, found, start, target, before, after, free)
+        return write_report(folder, result, start, target, before, after, free)
 
 
 def study_with_progress(scene, **settings):
-    """`study` with a bar that shows its parts. **Arguments:** as for `study`."""
+    """Runs `study` with a bar of its parts. **Arguments, returns:** as for `study`."""
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from ..study.study import study

@@ -1,4 +1,4 @@
-"""What a fit found, for people: pictures side by side, the cost curve, tables of parameters."""
+"""The report of a fit: pictures in comparison, the cost curve, and a table of parameters."""
 
 import os
 from pathlib import Path
@@ -13,6 +13,7 @@ from ..scene.scene import Scene
 
 
 def _remarks(fit: Fit) -> list[str]:
+    """Lists what the picture determines, and the remarks of `Fit.trust`."""
     known = fit.identifiability
     return [
         f"{known.rank} of {known.free} free numbers.",
@@ -21,9 +22,9 @@ def _remarks(fit: Fit) -> list[str]:
 
 
 def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
-    """A Markdown table of the free parameters, one line per object.
+    """Returns a Markdown table of the free parameters, one line per object.
 
-    Before, after, and the standard deviation: `-` for what is not determined.
+    Columns: before, after, and the standard deviation, which is `-` for undetermined numbers.
     """
     lines = ["| parameter | object | before | after | +- |", "|---|---|---|---|---|"]
     deviations = fit.uncertainty.standard_deviations
@@ -43,6 +44,7 @@ def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
 
 
 def _numbers(value: np.ndarray | np.floating) -> str:
+    """Returns finite numbers with six digits, others as `-`."""
     finite = lambda x: f"{float(x):.6g}" if np.isfinite(x) else "-"
     return " ".join(finite(x) for x in np.atleast_1d(value))
 
@@ -56,11 +58,14 @@ def write_report(
     after: np.ndarray,
     free: tuple[str, ...],
 ) -> list[Path]:
-    """Writes `comparison.png`, `cost.png` and `report.md` to a folder, which it makes if need be.
+    """Writes `comparison.png`, `cost.png` and `report.md`; makes the folder.
 
     **Arguments:** `target`, `before`, `after`: the target, the start's and the fit's picture.
+    `free`: the free parameters.
 
     **Returns:** the files written.
+
+    **Raises:** `OSError` if the files cannot be written.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -82,21 +87,24 @@ def write_report(
 
 
 def save_figure(figure, path: Path) -> None:
+    """Writes a figure atomically, in the format of the ending."""
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120)
 
 
 def new_figure(width: float, height: float):
+    """Returns an empty figure. **Arguments:** `width`, `height`: in inches."""
     from matplotlib.figure import Figure  # not pyplot: no window system, no global state
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
+    """Draws the three pictures, and the residual of its worst channel."""
     from ..files.images import to_srgb
 
-    drawn = new_figure(13.0, 3.6)
-    axes = drawn.subplots(1, 4)
+    figure = new_figure(13.0, 3.6)
+    axes = figure.subplots(1, 4)
     pictures = {"target": target, "start": before, "fit": after}
     for ax, (title, picture) in zip(axes, pictures.items(), strict=False):
         ax.imshow(np.clip(to_srgb(np.asarray(picture)), 0, 1))
@@ -107,16 +115,17 @@ def _comparison(target: np.ndarray, before: np.ndarray, after: np.ndarray):
     limit = max(float(np.abs(worst).max()), 1e-12)
     shown = axes[3].imshow(worst, cmap="RdBu", vmin=-limit, vmax=limit)
     axes[3].set_title("fit - target, worst channel")
-    drawn.colorbar(shown, ax=axes[3])
+    figure.colorbar(shown, ax=axes[3])
     for ax in axes:
         ax.set_axis_off()
-    return drawn
+    return figure
 
 
 def _cost_curve(fit: Fit):
-    drawn = new_figure(5.0, 3.6)
-    ax = drawn.subplots()
+    """Draws the cost, step by step."""
+    figure = new_figure(5.0, 3.6)
+    ax = figure.subplots()
     ax.semilogy(np.arange(1, len(fit.costs) + 1), fit.costs, marker="o")
     ax.set(xlabel="step", ylabel="cost (half the sum of squares)", title="Levenberg-Marquardt")
     ax.grid(alpha=0.3)
-    return drawn
+    return figure

@@ -1,6 +1,7 @@
-"""Scene formats: for each, the functions that read and write it.
+"""Scene formats: for each ending, the function that reads it, or that writes it.
 
-A new format is a module in this folder, with a reader or a writer, and an entry in the table here.
+A new format is a module in this folder, with a reader or a writer, and an entry in a table here.
+(Formats of pictures are in `picture_formats`.)
 """
 
 import os
@@ -15,25 +16,22 @@ from .scene_text import load_scene
 
 
 @dataclass(frozen=True)
-class SceneFormat:
-    """A format of scene files."""
+class ExportFormat:
+    """A format of another program, which draws the same picture."""
 
-    read: Callable[..., Scene] | None = None  #: called as `load_scene`
-    export: Callable[..., None] | None = None  #: called as `write_povray`
-    usage: str = ""  #: the command that draws an exported `{file}`
+    write: Callable[..., None]  #: called as `write_povray`
+    usage: str  #: the command that draws the written `{file}`
 
 
-#: The formats by ending. Files of other endings are read as the lecture's scene text.
-SCENE_FORMATS = {
-    ".txt": SceneFormat(read=load_scene),
-    ".pov": SceneFormat(
-        export=write_povray, usage="povray +W512 +H512 -A +FN16 File_Gamma=1 {file}"
-    ),
+#: The readers by ending, called as `load_scene`. Other files are read as the lecture's scene text.
+READERS: dict[str, Callable[..., Scene]] = {".txt": load_scene}
+
+#: The formats that scenes are converted to, by ending.
+EXPORT_FORMATS = {
+    ".pov": ExportFormat(write_povray, "povray +W512 +H512 -A +FN16 File_Gamma=1 {file}"),
 }
 
 
 def read_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
     """Reads a scene file of any format. **Arguments, raises:** as `load_scene`."""
-    known = SCENE_FORMATS.get(Path(path).suffix.lower())
-    read = load_scene if known is None or known.read is None else known.read
-    return read(path, dtype)
+    return READERS.get(Path(path).suffix.lower(), load_scene)(path, dtype)

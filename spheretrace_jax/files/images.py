@@ -32,8 +32,8 @@ _HEADER_BYTES = 1 << 16
 # program on a text of 64 kB, and TIFF's library cuts the text off.
 _MOST_TEXT = 60_000
 
-#: Limit of a picture, in pixels. Larger pictures are refused before any memory is taken, as a header
-#: may promise any size.
+#: Limit of a picture, in pixels. Larger pictures are refused before any memory is taken, as a
+#: header may promise any size.
 MOST_PIXELS = 1 << 28
 
 # Limits of the pixels per byte of a file, by format. Black pictures have fewer: deflate compresses

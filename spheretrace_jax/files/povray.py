@@ -37,11 +37,10 @@ _LINEAR_FORMATS = ("exr", "hdr")
 
 _Number = float | np.floating
 
-# Least opacity 1 - kt that is written. POV-Ray multiplies ambient and diffuse light by the opacity,
-# and `_spheres` divides by it, so it must not be 0. A power of 2, as POV-Ray keeps colours in float32.
+# Least opacity 1 - kt that is written. POV-Ray multiplies ambient and diffuse light by the
+# opacity, and `_spheres` divides by it, so it must not be 0. A power of 2: colours are in float32.
 _LEAST_OPACITY = 2.0**-14
-_FARTHEST = 1e7  # POV-Ray's MAX_DISTANCE
-_NEAREST = 1e-3  # POV-Ray's SHADOW_TOLERANCE
+_FARTHEST, _NEAREST = 1e7, 1e-3  # POV-Ray's MAX_DISTANCE and SHADOW_TOLERANCE
 
 _WRAPPED = """
 // A bitmap around a sphere at the origin, times a colour. POV-Ray would blend the picture's first
@@ -169,9 +168,8 @@ def _meets(tables: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
     """Tells whether sphere i meets another object or contains the eye."""
     center, radius = _points(tables.spheres.center), np.asarray(tables.spheres.radius)
     others = np.arange(tables.sphere_count) != i
-    from_planes = np.sum(
-        (_points(tables.planes.point) - center[i]) * _points(tables.planes.normal), 1
-    )
+    to_planes = _points(tables.planes.point) - center[i]
+    from_planes = np.sum(to_planes * _points(tables.planes.normal), 1)
     return bool(
         np.linalg.norm(eye - center[i]) < radius[i]
         or (np.abs(from_planes) < radius[i]).any()
@@ -347,12 +345,6 @@ def _back_plane(scene: Scene) -> list[str]:
     middle = frame.eye + frame.forward * scene.camera.distance
     color, ka, kd = next(_rows(back.color[None], back.ka[None], back.kd[None]))
     zero = kd.dtype.type(0)
-    return [
-        "// the view plane",
-        _plane(
-            _points(middle),
-            -_points(frame.forward),
-            f"rgb {_vector(color)}",
-            _finish(ka, kd, zero, zero, zero, "phong"),
-        ),
-    ]
+    pigment, finish = f"rgb {_vector(color)}", _finish(ka, kd, zero, zero, zero, "phong")
+    plane = _plane(_points(middle), -_points(frame.forward), pigment, finish)
+    return ["// the view plane", plane]

@@ -205,12 +205,14 @@ class _Reader:
             yield [tokens.take(), *tokens.rest(counts, name, had=1)]
 
     def _light(self, row: list[Token]) -> list[float]:
+        """Reads a light, by default white."""
         values = [self.tokens.number(t, name) for t, name in zip(row, _POSITION, strict=False)]
         for token, name in zip(row[3:], ("LR", "LG", "LB"), strict=False):
             values.append(self.tokens.between(token, name, 0, np.inf))
         return values if len(values) == 6 else [*values, 1.0, 1.0, 1.0]
 
     def _sphere(self, row: list[Token]) -> list[float]:
+        """Reads a sphere, and warns if ka + kd > 1."""
         values = self._values(row[:-1], _SPHERE)
         total = values[7] + values[8]
         if total > 1 + 1e-6:
@@ -222,6 +224,7 @@ class _Reader:
         return values
 
     def _value(self, token: Token, name: str) -> float:
+        """Reads a number within the range of its name."""
         if name in _UNIT:
             return self.tokens.between(token, name, 0, 1)
         if name == "specExp":
@@ -234,6 +237,7 @@ class _Reader:
         return [self._value(token, name) for token, name in zip(row, names, strict=True)]
 
     def _keywords(self) -> None:
+        """Reads the lines that start with a keyword, up to the end of the file."""
         tokens = self.tokens
         seen: dict[str, int] = {}
         while (word := tokens.take()).text:
@@ -251,6 +255,7 @@ class _Reader:
             read(self, tokens.rest(counts, word.text))
 
     def _file(self, token: Token) -> tuple[Token, str]:
+        """Reads the name of a picture, without its quotes."""
         name = token.text
         if name.startswith('"'):
             if len(name) == 1 or not name.endswith('"'):

@@ -44,6 +44,7 @@ class Tokens:
 
     @staticmethod
     def _scan(text: str) -> Iterator[Token]:
+        """Yields all words of a text, then empty ones without end."""
         line, start = 1, 0
         for match in _WORD.finditer(text):
             if match["newline"]:

@@ -1,1 +1,1 @@
-"""Evidence: how well derivatives, pictures and fits agree with the truth."""
+"""Studies: checks of derivatives, pictures and fits, and benchmarks of error against run time."""

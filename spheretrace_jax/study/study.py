@@ -1,9 +1,10 @@
-"""`study`: error against run time of a scene's pictures, derivatives and fits; how time grows."""
+"""`study`: error against run time of a scene's pictures, derivatives and fits, and scaling."""
 
 import dataclasses
 import os
 import platform
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -18,7 +19,7 @@ from .benchmarks.scale import scale
 from .benchmarks.settings import QUICK, Settings
 from .benchmarks.work_precision import Diagram
 
-#: What can be studied, in this order.
+#: The parts of a study, in their order.
 PARTS: dict[str, Callable] = {
     "picture": pictures,
     "derivative": derivatives,
@@ -29,7 +30,7 @@ PARTS: dict[str, Callable] = {
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What was measured, and on what machine."""
+    """The measured diagrams, with the machine and the settings."""
 
     diagrams: tuple[Diagram, ...]
     machine: dict[str, str]  #: versions, device, cores
@@ -46,32 +47,32 @@ def study(
 ) -> Study:
     """Measures error against run time on a scene: work-precision diagrams.
 
-    The truth of each diagram comes from a method that is not in it, and says how far it may be off
-    itself. All in the precisions named; compilation is apart.
+    The reference of each diagram comes from a method that is not in the diagram, and has an
+    uncertainty. Each curve names its precision. Times do not include compilation.
 
     **Arguments:** `scene`: of concrete numbers. `parts`: among picture, derivative, fit and scale.
-    `quick`: about a minute instead of ten, without bounces. `say`: told which part and what of it
-    is done next. `changes`: fields of `Settings`, such as `bounces` or `size`.
+    `quick`: about a minute instead of ten, without bounces. `say`: called with the part and the
+    next step of the part. `changes`: fields of `Settings`, such as `bounces` or `size`.
 
-    **Returns:** a `Study`, which `spheretrace_jax.diagrams.write_study` makes figures of.
+    **Returns:** a `Study`, which `spheretrace_jax.cli.diagrams.write_study` draws.
 
-    **Raises:** `InputError` for parts that there are not.
+    **Raises:** `InputError` for unknown parts.
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown or not parts:
         got = ", ".join(unknown) or "none"
         raise InputError(f"parts of a study must be among {', '.join(PARTS)}, got {got}")
     settings = dataclasses.replace(QUICK if quick else Settings(), **changes)
-    found: list[Diagram] = []
+    diagrams: list[Diagram] = []
     with jax.enable_x64(True):
         for part in parts:
-            told = dataclasses.replace(settings, say=lambda text, part=part: say(part, text))
-            found += PARTS[part](scene, told)
-    return Study(tuple(found), machine(), settings)
+            of_part = dataclasses.replace(settings, say=partial(say, part))
+            diagrams += PARTS[part](scene, of_part)
+    return Study(tuple(diagrams), machine(), settings)
 
 
 def machine() -> dict[str, str]:
-    """What the times depend on."""
+    """Describes the machine and the versions that the times depend on."""
     device = jax.devices()[0]
     packages = ("spheretrace_jax", "jax", "jaxlib", "equinox", "optimistix", "numpy")
     return {

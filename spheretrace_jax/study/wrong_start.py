@@ -1,4 +1,4 @@
-"""The wrong start from which the demo, the examples and the tests fit the nine spheres."""
+"""The wrong start of fits to the nine spheres, for the demo, an example and tests."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ from ..scene.scene import Scene
 
 
 def wrong_start(truth: Scene) -> Scene:
-    """`truth` with all colours 0.5, ka 0.3, kd 0.5, ks 0.2 and its lights displaced."""
+    """Returns `truth` with all colours 0.5, ka 0.3, kd 0.5, ks 0.2 and its lights displaced."""
     s = truth.spheres
     shift = jnp.asarray([[80, -150, -200]], truth.dtype)
     return eqx.tree_at(

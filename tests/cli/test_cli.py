@@ -20,7 +20,7 @@ SIZE = dict(width=32, height=24)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """A folder to work in, with a scene, its picture, a start and some files that are no good."""
+    """Enters a folder with a scene, its picture, a start, and files that cannot be read."""
     monkeypatch.chdir(tmp_path)
     fill(tmp_path)
     Path("bad.txt").write_text(TEXT.replace("90 0 0 80", "90 0 0 -80"))
@@ -149,7 +149,7 @@ def test_check_says_that_all_is_well_or_what_is_not(spheretrace):
 
 
 def test_check_exits_with_1_where_float32_fails(spheretrace):
-    """In lengths of 1e20 their squares overflow."""
+    """Checks a scene in lengths of 1e20, whose squares overflow."""
     text = TEXT.replace("500 800 //", "5e20 8e20 //").replace("100 500 800", "1e20 5e20 8e20")
     text = text.replace("-90 0 0 80", "-9e19 0 0 8e19").replace("90 0 0 70", "9e19 0 0 7e19")
     Path("scene.txt").write_text(text + "window 5.12e20\n")

@@ -19,7 +19,7 @@ import pytest
 from helpers.commands import FIT, REPORT, WRITING, disk_full, files, spheretrace, workplace
 
 import spheretrace_jax as st
-from spheretrace_jax.cli import commands
+from spheretrace_jax.cli import demo
 from spheretrace_jax.files import atomic
 from spheretrace_jax.fit.solver import light_search
 
@@ -28,7 +28,7 @@ fitting = importlib.import_module("spheretrace_jax.fit.fit")  # the function has
 
 @pytest.fixture(autouse=True)
 def interruptible() -> Iterator[None]:
-    """A shell has what it runs in the background ignore interrupts, and so these tests."""
+    """Enables interrupts, which shells disable in programs that run in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -42,7 +42,7 @@ def filled() -> Iterator[Path]:
 
 @pytest.fixture
 def folder(filled, monkeypatch) -> Iterator[Path]:
-    """The same, as the present one, with nothing else in it."""
+    """Enters the filled folder, and removes new files afterwards."""
     monkeypatch.chdir(filled)
     before = files(filled)
     yield filled
@@ -57,7 +57,7 @@ def old(*names: str) -> None:
 
 
 def refused(words: tuple, reason: str) -> None:
-    """The command fails in one line that ends with `reason`, and all files are as before."""
+    """Asserts that a command fails in one line that ends with `reason`, and changes no file."""
     before = files(Path())
     status, out, err = spheretrace(*words)
     assert (status, out, err) == (2, "", f"spheretrace: {reason}\n")
@@ -94,7 +94,7 @@ def test_a_demo_that_finds_no_room_leaves_the_old_files(folder, monkeypatch):
     (data / "nine_spheres.txt").write_bytes(Path("scene.txt").read_bytes())
     picture = np.asarray(st.render(st.load_scene("scene.txt", np.float32), width=24, height=24))
     st.write_image(data / "nine_spheres.png", picture, bits=16)
-    monkeypatch.setattr(commands, "data_folder", lambda: data)
+    monkeypatch.setattr(demo, "data_folder", lambda: data)
     names = ["out/fitted.txt", "out/fitted.png"]
     old(*names)
     with disk_full():
@@ -114,7 +114,7 @@ def test_a_folder_that_goes_away_meanwhile_is_named(command, folder, monkeypatch
     check = atomic.check_target
 
     def checked(path) -> None:
-        """At the last moment there is still a folder."""
+        """Removes the folder after the last check."""
         check(path)
         if sys._getframe(1).f_code.co_name == "replacing":
             Path("gone").rmdir()
@@ -127,7 +127,7 @@ def test_a_folder_that_goes_away_meanwhile_is_named(command, folder, monkeypatch
 
 
 def interrupt() -> None:
-    """What Ctrl-C does."""
+    """Interrupts the program, as Ctrl-C does."""
     signal.raise_signal(signal.SIGINT)
 
 
@@ -213,7 +213,7 @@ WRITERS = {
 
 @contextmanager
 def interrupt_at(line: int) -> Iterator[list]:
-    """An interrupt before the nth line that is run of what writes files; a list of where it was."""
+    """Interrupts before the nth executed line of the writers. Yields a list of the position."""
     place, left = [], line
 
     def trace(frame, event, _):
@@ -235,7 +235,7 @@ def interrupt_at(line: int) -> Iterator[list]:
 
 
 def content(name: str) -> bytes:
-    """Without the time, which EXR files hold."""
+    """Reads a file without the time, which EXR files hold."""
     return re.sub(rb"\d+:\d\d:\d\d \d\d:\d\d:\d\d", b"", Path(name).read_bytes())
 
 

@@ -22,7 +22,7 @@ STEEPEST = 2.275  # slope of sRGB's curve, from coded to linear, at 1
 
 
 def decode(coded: np.ndarray) -> np.ndarray:
-    """From sRGB to linear, by IEC 61966-2-1."""
+    """Decodes sRGB to linear numbers, by IEC 61966-2-1."""
     coded = np.asarray(coded, np.float64)
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
@@ -33,7 +33,7 @@ def noise(height: int = 5, width: int = 7, most: float = 1.0) -> np.ndarray:
 
 
 def write_raw(file: Path, numbers: np.ndarray, alpha: int = -1, **attributes) -> None:
-    """A file with just these numbers, by OpenImageIO alone."""
+    """Writes a file with exactly these numbers, by OpenImageIO alone."""
     height, width, channels = numbers.shape
     kind = str(numbers.dtype).removesuffix("32")  # float32 is called float there
     spec = oiio.ImageSpec(width, height, channels, kind)
@@ -52,7 +52,7 @@ def read_raw(file: Path) -> np.ndarray:
 
 
 def png(width: int, height: int, data: bytes = b"") -> bytes:
-    """A PNG file of 8-bit RGB whose header may promise anything."""
+    """Builds a PNG file of 8-bit RGB, with any size in its header."""
 
     def chunk(name: bytes, body: bytes) -> bytes:
         return (
@@ -305,7 +305,7 @@ def test_long_scenes_are_held_whole_or_not_at_all(ending, tmp_path):
 
 
 def refused(file: Path, colorspace="auto") -> str:
-    """What is said of a file after its name."""
+    """Returns the error message of a file after its name."""
     with pytest.raises(st.PictureError) as error:
         st.read_image(file, colorspace)
     said = str(error.value)
@@ -394,7 +394,7 @@ def test_pictures_of_other_numbers_are_not_written(dtype, tmp_path):
 
 
 def test_black_pictures_in_few_bytes_are_read(tmp_path):
-    """Those have the most pixels per byte."""
+    """Reads the files with the most pixels per byte."""
     black = np.zeros((2048, 2048, 1), np.uint8)
     write_raw(tmp_path / "a.png", black)
     write_raw(tmp_path / "a.jpg", black, jpeg__progressive=1, compression="jpeg:1")

@@ -147,7 +147,7 @@ def test_the_dtype_is_jax_s_default_unless_given(tmp_path):
 
 
 def row(place: int, word: str) -> str:
-    """The scene with one word of its sphere (from 1) in place of another."""
+    """Returns the scene with one word of its sphere (from 1) replaced."""
     words = SPHERE.split()
     words[place - 1] = word
     return f"{HEADER}{LIGHT}1\n{' '.join(words)}\n"
@@ -416,7 +416,7 @@ def pictures(tmp_path_factory) -> list[st.Texture]:
 
 
 def any_scene(draw, dtype: type, pictures: list[st.Texture]) -> st.Scene:
-    """Any scene that a file can hold."""
+    """Draws any scene that a file can hold."""
     bits = np.dtype(dtype).itemsize * 8
     least = float(np.finfo(dtype).smallest_subnormal)
     most = float(np.finfo(dtype).max)

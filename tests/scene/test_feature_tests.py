@@ -1,4 +1,4 @@
-"""What a look at the objects says can happen, against what rays find."""
+"""Feature tests of scenes, against rays."""
 
 import equinox as eqx
 import jax.numpy as jnp

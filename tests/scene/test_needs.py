@@ -133,7 +133,7 @@ for name in SCENES:
 
 
 def operations(scene: st.Scene, **changes) -> int:
-    """How many there are in the program of a picture, before it is compiled."""
+    """Counts the operations in the program of a picture, before it is compiled."""
     found = dataclasses.replace(st.needs(scene), **changes)
     program = render_settings(scene, 8, 8, bounces=2, needs=found)
     lowered = jax.jit(lambda scene: draw.__wrapped__(scene, program)).lower(scene)

@@ -58,7 +58,7 @@ def test_a_wrong_derivative_is_caught():
 
 
 def programs(jaxpr: jax.extend.core.Jaxpr) -> Iterator[jax.extend.core.Jaxpr]:
-    """A program and all that it contains."""
+    """Yields a program and all programs within it."""
     yield jaxpr
     for equation in jaxpr.eqns:
         for inner in jax.extend.core.jaxprs_in_params(equation.params):
@@ -66,9 +66,10 @@ def programs(jaxpr: jax.extend.core.Jaxpr) -> Iterator[jax.extend.core.Jaxpr]:
 
 
 def equal_maxima(function, *arguments) -> list[str]:
-    """Where the derivative of a function asks whether a number is the maximum or minimum.
+    """Finds comparisons of numbers with their maximum or minimum, in the derivative of a function.
 
-    That is how jax 0.10 differentiates both, and fails where XLA rounds twice (`vec.larger`).
+    Such comparisons are how jax 0.10 differentiates both; they fail where XLA rounds twice
+    (`vec.larger`).
     """
     slopes = lambda *a: jax.jvp(function, a, jax.tree.map(jnp.ones_like, a))
     found = []

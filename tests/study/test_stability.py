@@ -1,4 +1,4 @@
-"""Float32 against float64, of scenes that are made so that the cause is known beforehand."""
+"""Float32 against float64, of scenes with a known cause of errors."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ COLUMN, ROW = 10, 9
 
 
 def ball(radius=100.0, eye=(0.0, 0.0), window=512.0, light=(300.0, 200, 600), n=5.0, unit=1.0):
-    """A sphere in the middle, by default seen along -z from 5 radii away."""
+    """Builds a sphere at the origin, by default seen along -z from a distance of 5 radii."""
     sphere = st.Spheres(
         [[0.0, 0, 0]], [radius * unit], (0.8, 0.5, 0.3), ka=0.2, kd=0.6, ks=0.3, exponent=n
     )
@@ -22,16 +22,16 @@ def ball(radius=100.0, eye=(0.0, 0.0), window=512.0, light=(300.0, 200, 600), n=
 
 
 def touching() -> float:
-    """The radius of the ball at the origin that the ray of a pixel touches."""
+    """Returns the radius of the sphere at the origin that the ray of a pixel touches."""
     pitch = 512 / SIDE
     across = np.hypot(COLUMN + 0.5 - SIDE / 2, ROW + 0.5 - SIDE / 2) * pitch
     return 500 * across / np.hypot(across, 800)
 
 
 def shaded(off: float) -> st.Scene:
-    """A small sphere over a large one, whose shadow's edge passes what a pixel shows.
+    """Builds a small sphere over a large one, whose shadow edge passes the hit of a pixel's ray.
 
-    **Arguments:** `off`: how far the edge is off, as a part of the small one's radius.
+    **Arguments:** `off`: the distance of the edge from the hit, per radius of the small sphere.
     """
     pitch, radius, below = 512 / SIDE, 20.0, np.array([0.0, 0, -2000])
     x, y = (COLUMN + 0.5 - SIDE / 2) * pitch, -(ROW + 0.5 - SIDE / 2) * pitch

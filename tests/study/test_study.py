@@ -1,4 +1,4 @@
-"""Studies: references, times, figures and what is read off them."""
+"""Studies: references, times, figures and captions."""
 
 import csv
 import importlib

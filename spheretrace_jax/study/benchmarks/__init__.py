@@ -1,1 +1,1 @@
-"""Benchmarks: error against run time, and growth with the size of a scene."""
+"""Benchmarks: error against run time, and scaling with the size of a scene."""

@@ -1,38 +1,38 @@
-"""What a diagram says, in two sentences."""
+"""Captions: the conclusions of a diagram, in two sentences."""
 
 import math
 
 from .work_precision import Diagram, Point, slope
 
-#: Of the sweeps, the part at the large end from which exponents are fitted.
-_LARGE = 3
+# Number of points, the largest of a sweep, from which exponents are fitted.
+_FITTED_POINTS = 3
 
 
 def caption(diagram: Diagram) -> tuple[str, str]:
-    """Two sentences: how the methods compare, and where they end."""
+    """Returns two sentences: the comparison of the methods, and the end of their curves."""
     return _growth(diagram) if not diagram.error else _work_precision(diagram)
 
 
 def seconds(value: float) -> str:
-    """A time as people say it."""
+    """Returns a time with its unit: us, ms or s."""
     if value < 1e-3:
         return f"{1e6 * value:.0f} us"
     return f"{1e3 * value:.3g} ms" if value < 1 else f"{value:.3g} s"
 
 
 def _work_precision(diagram: Diagram) -> tuple[str, str]:
+    """Compares the times of an error that half of the methods attain, and names the least error."""
     best = {name: min(points, key=lambda p: p.error) for name, points in diagram.curves.items()}
     order = sorted(best.values(), key=lambda p: p.error)
-    # what half of the methods reach, and at least two if there are
+    # the error that half of the methods attain, and at least two methods if possible
     level = _rounded_up(order[max((len(order) - 1) // 2, min(1, len(order) - 1))].error)
     first = {name: _first_below(points, level) for name, points in diagram.curves.items()}
-    reach = sorted((p for p in first.values() if p), key=lambda p: p.seconds)
-    times = ", ".join(f"{seconds(p.seconds)} with {p.method} ({p.knob})" for p in reach[:4])
-    short = len(first) - len(reach)
-    others = f"; {short} of {len(first)} methods do not come so near" if short else ""
-    end = order[0]
-    known = diagram.uncertainty
-    truth = f"; the truth itself is known to {known:.1e}" if math.isfinite(known) else ""
+    fastest = sorted((p for p in first.values() if p), key=lambda p: p.seconds)
+    times = ", ".join(f"{seconds(p.seconds)} with {p.method} ({p.knob})" for p in fastest[:4])
+    failing = len(first) - len(fastest)
+    others = f"; {failing} of {len(first)} methods do not come so near" if failing else ""
+    end, error = order[0], diagram.uncertainty
+    truth = f"; the truth itself is known to {error:.1e}" if math.isfinite(error) else ""
     return (
         f"An error of {level:.0e} takes {times}{others}.",
         f"The least error is {end.error:.1e}, of {end.method} ({end.knob}) "
@@ -41,9 +41,10 @@ def _work_precision(diagram: Diagram) -> tuple[str, str]:
 
 
 def _growth(diagram: Diagram) -> tuple[str, str]:
+    """Describes the growth of time at the large end, and the largest time and memory."""
     exponents, ends = [], []
     for work, points in diagram.curves.items():
-        large = sorted(points, key=lambda p: p.size)[-_LARGE:]
+        large = sorted(points, key=lambda p: p.size)[-_FITTED_POINTS:]
         power = slope((p.size, p.seconds) for p in large)
         exponents.append(f"of a {work} grows as ({diagram.knob})^{power:.2f}")
         last = large[-1]
@@ -58,12 +59,13 @@ def _growth(diagram: Diagram) -> tuple[str, str]:
 
 
 def _first_below(points: list[Point], level: float) -> Point | None:
+    """Finds the fastest point with at most an error of `level`."""
     below = [p for p in points if p.error <= level]
     return min(below, key=lambda p: p.seconds) if below else None
 
 
 def _rounded_up(error: float) -> float:
-    """The next number of one digit."""
+    """Rounds up to one digit."""
     if not error > 0 or not math.isfinite(error):
         return error
     unit = 10.0 ** math.floor(math.log10(error))

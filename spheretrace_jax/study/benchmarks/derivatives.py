@@ -1,4 +1,4 @@
-"""Derivatives: error against time, of single rays, of covered edges, and of differences."""
+"""Derivatives: error against time of single rays, of covered edges, and of differences."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -19,16 +19,16 @@ from .reference import reference_picture
 from .settings import Settings
 from .work_precision import Diagram, Point, Program, clock, relative
 
-#: Of the truth's differences, in pixels that edges move.
+# Step of the reference's central differences, in pixels that edges move.
 _STEP = 0.1
 
-_PLACES = lambda s: (s.spheres.center, s.spheres.radius, s.lights.position)
+_POSITIONS = lambda s: (s.spheres.center, s.spheres.radius, s.lights.position)
 
 
 def derivatives(scene: Scene, settings: Settings) -> Iterator[Diagram]:
-    """The diagrams of the derivative along one movement: of each pixel, and of a sum of them."""
+    """Yields the diagrams of the derivative along one motion: of all pixels, and of their sum."""
     exact = scene.astype(jnp.float64)
-    along = movement(exact, settings)
+    motion = movement(exact, settings)
     drawn: dict[str, Any] = dict(
         width=settings.size, height=settings.size, highlight=settings.highlight,
         bounces=settings.bounces, needs=needs(exact),
@@ -37,23 +37,23 @@ def derivatives(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     picture = reference_picture(
         render_settings(exact.with_antialias(0), **drawn), settings.truth_rays
     )
-    truth, wider = (np.asarray(_difference(picture, exact, along, h * _STEP)) for h in (1, 2))
+    truth, wider = (np.asarray(_difference(picture, exact, motion, h * _STEP)) for h in (1, 2))
     weight = blurred(truth, settings.size / 24)
     total = float(np.vdot(weight, truth)) or 1.0
-    works = _works(exact, along, weight, drawn, settings)
-    taken = clock({key: work.run for key, work in works.items()}, settings.seconds)
+    methods = _methods(exact, motion, weight, drawn, settings)
+    taken = clock({key: method.run for key, method in methods.items()}, settings.seconds)
     pixels, sums = [], []
-    for (method, knob, size), work in works.items():
+    for (name, knob, size), method in methods.items():
         point = partial(
-            Point, method=method, knob=knob, size=size, dtype="float64",
-            seconds=taken[method, knob, size], compile_seconds=work.program.compile_seconds,
-            memory=work.program.memory,
+            Point, method=name, knob=knob, size=size, dtype="float64",
+            seconds=taken[name, knob, size], compile_seconds=method.program.compile_seconds,
+            memory=method.program.memory,
         )  # fmt: skip
-        found = work.read(work.run())
-        if found.ndim:
-            pixels.append(point(diagram="derivative", error=relative(found, truth)))
-            found = np.vdot(weight, found)
-        sums.append(point(diagram="derivative_sum", error=abs(float(found) / total - 1)))
+        derivative = method.read(method.run())
+        if derivative.ndim:
+            pixels.append(point(diagram="derivative", error=relative(derivative, truth)))
+            derivative = np.vdot(weight, derivative)
+        sums.append(point(diagram="derivative_sum", error=abs(float(derivative) / total - 1)))
     reference = (
         f"central differences of {settings.truth_rays} or more single rays per pixel on a "
         f"Fibonacci lattice, by a step that moves edges about {_STEP:g} pixel"
@@ -78,83 +78,117 @@ def derivatives(scene: Scene, settings: Settings) -> Iterator[Diagram]:
 
 
 def movement(scene: Scene, settings: Settings) -> Scene:
-    """A random direction in which all spheres and lights move, so that edges move a pixel or so."""
+    """Returns a random motion of all spheres and lights, by which edges move about a pixel."""
     rng = np.random.default_rng(settings.seed)
     c = scene.camera
     pixel = float(c.window / c.distance * c.mu) / settings.size
     far = jnp.linalg.norm(scene.lights.position, axis=-1, keepdims=True)
     spread = lambda like: jnp.asarray(rng.uniform(-1, 1, like.shape))
-    center, radius, light = (spread(x) for x in _PLACES(scene))
+    center, radius, light = (spread(x) for x in _POSITIONS(scene))
     moves = pixel * center, pixel * radius, far / settings.size * light
-    return eqx.tree_at(_PLACES, jax.tree.map(jnp.zeros_like, scene), moves)
+    return eqx.tree_at(_POSITIONS, jax.tree.map(jnp.zeros_like, scene), moves)
 
 
 def blurred(picture: np.ndarray, width: float) -> np.ndarray:
-    """A picture convolved with a Gaussian, periodically. **Arguments:** `width`: in pixels."""
+    """Convolves a picture with a periodic Gaussian. **Arguments:** `width`: in pixels."""
     gauss = [np.exp(-2 * (np.pi * width * np.fft.fftfreq(n)) ** 2) for n in picture.shape[:2]]
     filter_ = gauss[0][:, None, None] * gauss[1][:, None]
     return np.fft.ifft2(np.fft.fft2(picture, axes=(0, 1)) * filter_, axes=(0, 1)).real
 
 
 @dataclasses.dataclass(frozen=True)
-class _Work:
-    """One way to a derivative."""
+class _Method:
+    """A method of differentiation."""
 
     program: Program
-    run: Callable[[], Any]  #: what is timed
-    read: Callable[[Any], np.ndarray] = np.asarray  #: the derivative picture, or its sum
+    run: Callable[[], Any]  #: the timed work
+    #: from the result of `run` to the derivative picture, or its weighted sum
+    read: Callable[[Any], np.ndarray] = np.asarray
 
 
-def _works(
-    scene: Scene, along: Scene, weight: np.ndarray, drawn: dict, settings: Settings
-) -> dict[tuple[str, str, float], _Work]:
-    """All ways, by method, knob and the knob's number."""
-    works = {}
-    for method, antialias, knobs in (
+_Key = tuple[str, str, float]
+"""A method's name, its knob in words, and the knob's number."""
+
+
+def _methods(
+    scene: Scene, motion: Scene, weight: np.ndarray, drawn: dict, settings: Settings
+) -> dict[_Key, _Method]:
+    """Compiles all methods, of single rays and of covered edges."""
+    methods = {}
+    for rays, antialias, knobs in (
         ("single rays", 0, settings.rays[:3:2]),
         ("covered edges", 1, settings.covered[: 2 if settings.thorough else 1]),
     ):
-        one, still = (s.with_antialias(antialias) for s in (scene, along))
-
-        def program(way: str, k: int, derived: Callable, *arguments: Any) -> Program:
-            settings.say(f"derivative: {method}, {k} x {k}, {way}")
-            picture = partial(draw, settings=render_settings(one, samples=k, **drawn))
-            return Program(derived(picture), *arguments)
-
+        sampler = _Sampler(rays, scene.with_antialias(antialias), drawn, settings)
+        tangent = motion.with_antialias(antialias)
         for k in knobs:
-            push = program("forward mode", k, _pushed, one, still)
-            works[f"{method}, forward mode", f"{k} x {k}", float(k)] = _Work(push, push)
-            if settings.thorough:
-                pull = program("reverse mode", k, _pulled, one, jnp.asarray(weight))
-                work = _Work(pull, pull, partial(_along, still))
-                works[f"{method}, reverse mode", f"{k} x {k}", float(k)] = work
+            methods |= sampler.derivatives(k, tangent, jnp.asarray(weight))
         if antialias and not settings.thorough:
             continue
-        # of a few rays, as one ray hardly ever sees an edge move
-        k = knobs[0] if antialias else knobs[-1]
-        picture = program("differences", k, lambda picture: picture, one)
-        for step in settings.steps:
-            work = _Work(picture, partial(_difference, picture, one, still, step))
-            works[f"differences of {method}, {k} x {k}", f"step {step:g}", step] = work
+        # differences take a few rays, as the edges that one ray sees hardly ever move
+        methods |= sampler.differences(knobs[0] if antialias else knobs[-1], tangent)
     settings.say("derivative: errors and times")
-    return works
+    return methods
 
 
-def _pushed(picture: Callable[[Scene], Picture]) -> Callable[[Scene, Scene], Picture]:
-    return lambda scene, along: jax.jvp(picture, (scene,), (along,))[1]
+@dataclasses.dataclass(frozen=True)
+class _Sampler:
+    """Pictures of single rays, or of covered edges, and the methods that differentiate them."""
+
+    name: str
+    scene: Scene
+    drawn: dict[str, Any]  #: the arguments of `render_settings`, but for samples
+    settings: Settings
+
+    def program(self, method: str, k: int, derive: Callable, *arguments: Any) -> Program:
+        """Compiles a derivative of the picture with k x k samples."""
+        self.settings.say(f"derivative: {self.name}, {k} x {k}, {method}")
+        checked = render_settings(self.scene, samples=k, **self.drawn)
+        return Program(derive(partial(draw, settings=checked)), self.scene, *arguments)
+
+    def derivatives(self, k: int, tangent: Scene, weight: Picture) -> dict[_Key, _Method]:
+        """Compiles forward mode, and reverse mode in thorough studies."""
+        forward = self.program("forward mode", k, _forward, tangent)
+        methods = {
+            (f"{self.name}, forward mode", f"{k} x {k}", float(k)): _Method(forward, forward)
+        }
+        if self.settings.thorough:
+            reverse = self.program("reverse mode", k, _reverse, weight)
+            method = _Method(reverse, reverse, partial(_inner_product, tangent))
+            methods[f"{self.name}, reverse mode", f"{k} x {k}", float(k)] = method
+        return methods
+
+    def differences(self, k: int, tangent: Scene) -> dict[_Key, _Method]:
+        """Compiles central differences of all steps."""
+        picture = self.program("differences", k, lambda picture: picture)
+        name = f"differences of {self.name}, {k} x {k}"
+        return {
+            (name, f"step {step:g}", step): _Method(
+                picture, partial(_difference, picture, self.scene, tangent, step)
+            )
+            for step in self.settings.steps
+        }
 
 
-def _pulled(picture: Callable[[Scene], Picture]) -> Callable[[Scene, Picture], Scene]:
+def _forward(picture: Callable[[Scene], Picture]) -> Callable[[Scene, Scene], Picture]:
+    """Returns the derivative of a picture along a tangent."""
+    return lambda scene, tangent: jax.jvp(picture, (scene,), (tangent,))[1]
+
+
+def _reverse(picture: Callable[[Scene], Picture]) -> Callable[[Scene, Picture], Scene]:
+    """Returns the gradient of a picture's sum with a weight."""
     return lambda scene, weight: jax.vjp(picture, scene)[1](weight)[0]
 
 
-def _along(still: Scene, slope: Scene) -> np.ndarray:
-    pairs = zip(jax.tree.leaves(slope), jax.tree.leaves(still), strict=True)
+def _inner_product(tangent: Scene, gradient: Scene) -> np.ndarray:
+    """Returns the derivative of the weighted sum along the tangent."""
+    pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(tangent), strict=True)
     return np.sum([np.vdot(x, y) for x, y in pairs])
 
 
 def _difference(
-    picture: Callable[[Scene], Picture], scene: Scene, along: Scene, step: float
+    picture: Callable[[Scene], Picture], scene: Scene, tangent: Scene, step: float
 ) -> Any:
-    moved = lambda h: picture(jax.tree.map(lambda a, b: a + h * b, scene, along))
+    """Returns the central difference of a picture along a tangent."""
+    moved = lambda h: picture(jax.tree.map(lambda a, b: a + h * b, scene, tangent))
     return (moved(step) - moved(-step)) / (2 * step)

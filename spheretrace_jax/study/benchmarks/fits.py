@@ -1,4 +1,4 @@
-"""Fits: error against time, step by step, of every solver, from the same start."""
+"""Fits: error against time of every solver, step by step from the same start."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -26,32 +26,33 @@ from .mitsuba import RECIPES, adam_fit, fitted, matt, mitsuba
 from .settings import Settings
 from .work_precision import Diagram, Point
 
-# A number counts as determined if it is known so well from a picture with so much noise.
-_NOISE, _KNOWN = 1e-3, 0.05
+# Largest standard deviation of a number that counts as determined, and the noise of the picture,
+# also a standard deviation, which causes the deviation.
+_LARGEST_DEVIATION, _NOISE = 0.05, 1e-3
 
-# More points than this do not show in a figure.
+# Limit of the points of a curve: more do not show in a figure.
 _MOST_POINTS = 60
 
-# After so many steps all is compiled.
-_COMPILED = 3
+# Number of steps in which a fit compiles all programs.
+_COMPILING_STEPS = 3
 
-# What most runs reach before their solver is stopped is a matter of time, not of steps.
+# Limit of the steps of a fit, so large that time stops the fit before.
 _MOST_STEPS = 100_000
 
 
 def solvers(thorough: bool) -> dict[str, dict[str, Any]]:
-    """What `fit` is told for each method; Optax's Adam only where Optax is installed.
+    """Lists the methods, with their arguments of `fit`; Optax's Adam only if installed.
 
-    **Arguments:** `thorough`: all of them, which compile for long.
+    **Arguments:** `thorough`: True for all methods, which compile for long.
     """
     tolerance: dict[str, Any] = dict(rtol=1e-10, atol=1e-10)
     levenberg = optx.LevenbergMarquardt(**tolerance)
-    found: dict[str, dict[str, Any]] = {
+    methods: dict[str, dict[str, Any]] = {
         "ours": {},
         "Optimistix LevenbergMarquardt": dict(solver=levenberg),
     }
     if thorough:
-        found |= {
+        methods |= {
             "ours, lights first": dict(start="lights"),
             "Optimistix Dogleg": dict(solver=optx.Dogleg(**tolerance)),
             "Optimistix GaussNewton": dict(solver=optx.GaussNewton(**tolerance)),
@@ -65,38 +66,41 @@ def solvers(thorough: bool) -> dict[str, dict[str, Any]]:
     if thorough and find_spec("optax"):
         import optax
 
-        found["Optax Adam"] = dict(solver=optx.OptaxMinimiser(optax.adam(0.01), **tolerance))
-    return found
+        methods["Optax Adam"] = dict(solver=optx.OptaxMinimiser(optax.adam(0.01), **tolerance))
+    return methods
 
 
 def fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
-    """The diagrams of fits to the scene's own picture; none without spheres or lights."""
+    """Yields the diagrams of fits to a scene's own picture; none without spheres or lights."""
     if len(scene.spheres) and len(scene.lights):
         yield _solver_fits(scene, settings)
         yield from matt_fits(scene, settings)
 
 
 def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
-    """Fits of colours, ka, kd, ks and lights by each solver."""
+    """Returns the diagram of fits of colours, ka, kd, ks and lights, by each solver."""
     truth = scene.astype(jnp.float64).with_antialias(0)
     drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
     target = render(truth, width=settings.fit_size, height=settings.fit_size, **drawn)
     settings.say("fit: what the picture determines")
-    known = uncertainty_at(truth, target, DEFAULT_FREE, _NOISE, **drawn).of(_products) < _KNOWN
-    start, far = displaced(truth), np.linalg.norm(truth.lights.position, axis=-1, keepdims=True)
-
+    uncertainty = uncertainty_at(truth, target, DEFAULT_FREE, _NOISE, **drawn)
+    determined = uncertainty.of(_products) < _LARGEST_DEVIATION
+    start = displaced(truth)
+    distance = np.linalg.norm(truth.lights.position, axis=-1, keepdims=True)
     products = jax.jit(_products)
 
-    def error(found: Scene) -> float:
-        off = np.abs(products(found) - products(truth))[known]
-        away = np.abs(found.lights.position - truth.lights.position) / np.where(far > 0, far, 1)
-        return float(max(off.max(initial=0), away.max()))
+    def error(fitted: Scene) -> float:
+        of_products = np.abs(products(fitted) - products(truth))[determined]
+        shift = np.abs(fitted.lights.position - truth.lights.position)
+        return float(
+            max(of_products.max(initial=0), (shift / np.where(distance > 0, distance, 1)).max())
+        )
 
-    ways = {
-        method: partial(_curve, start, target, **drawn, **chosen)
-        for method, chosen in solvers(settings.thorough).items()
+    methods = {
+        method: partial(_curve, start, target, **drawn, **arguments)
+        for method, arguments in solvers(settings.thorough).items()
     }
-    points = _points("fit", ways, error, settings)
+    points = _points("fit", methods, error, settings)
     return Diagram(
         "fit",
         f"Fits from the same start, {settings.fit_size} x {settings.fit_size}, step by step",
@@ -109,9 +113,9 @@ def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
 
 
 def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
-    """The diagram of fits of colours and a light beside Mitsuba with Adam, where that is installed.
+    """Yields the diagram of fits of colours and a light, also by Mitsuba with Adam if installed.
 
-    All spheres are matt, and each program fits its own picture, which it can reach exactly.
+    All spheres are matt. Each program fits its own picture, which it can match exactly.
     """
     try:
         mitsuba()
@@ -121,25 +125,27 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     size, free = settings.fit_size, ("color", "light_position")
     target = render(truth, width=size, height=size, bounces=0)
     settings.say("fit: ours, matt spheres")
-    known = uncertainty_at(truth, target, free, _NOISE, highlight=settings.highlight, bounces=0)
-    seen = known.of(PRODUCTS["kd*color"]) < _KNOWN
-    places = lambda s: [ACCESSORS[name](s) for name in free]
-    start = eqx.tree_at(places, truth, places(displaced(truth)))
+    uncertainty = uncertainty_at(
+        truth, target, free, _NOISE, highlight=settings.highlight, bounces=0
+    )
+    determined = uncertainty.of(PRODUCTS["kd*color"]) < _LARGEST_DEVIATION
+    values = lambda s: [ACCESSORS[name](s) for name in free]
+    start = eqx.tree_at(values, truth, values(displaced(truth)))
     ours = lambda most: [
-        (seconds, fitted(found))
-        for seconds, found in _curve(start, target, most, free=free, bounces=0)
+        (seconds, fitted(step))
+        for seconds, step in _curve(start, target, most, free=free, bounces=0)
     ]
-    ways = {"ours": ours} | {
+    methods = {"ours": ours} | {
         name: partial(adam_fit, start, truth, size, recipe) for name, recipe in RECIPES.items()
     }
     true = fitted(truth)
-    away = np.linalg.norm(true[0])
+    distance = np.linalg.norm(true[0])
 
     def error(values: np.ndarray) -> float:
-        off = values - true
-        return float(max(np.linalg.norm(off[0]) / away, np.abs(off[1:][seen]).max(initial=0)))
+        light, colors = np.split(np.abs(values - true), [1])
+        return float(max(np.linalg.norm(light[0]) / distance, colors[determined].max(initial=0)))
 
-    points = _points("fit_matt", ways, error, settings)
+    points = _points("fit_matt", methods, error, settings)
     yield Diagram(
         "fit_matt",
         f"Fits of matt spheres and a light, {size} x {size}, step by step",
@@ -152,38 +158,42 @@ def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
 
 
 def displaced(truth: Scene) -> Scene:
-    """All that is fitted is wrong: coefficients by a tenth, lights by 6 degrees and a fifth."""
+    """Displaces all fitted parameters: coefficients by a tenth, lights by 6 degrees and a fifth."""
     turn = jnp.asarray([[0.995, -0.1, 0], [0.1, 0.995, 0], [0, 0, 1]], truth.dtype)
-    places = lambda s: [ACCESSORS[name](s) for name in DEFAULT_FREE]
-    *coefficients, lights = places(truth)
-    return eqx.tree_at(places, truth, [*(0.9 * x for x in coefficients), lights @ turn * 1.2])
+    values = lambda s: [ACCESSORS[name](s) for name in DEFAULT_FREE]
+    *coefficients, lights = values(truth)
+    return eqx.tree_at(values, truth, [*(0.9 * x for x in coefficients), lights @ turn * 1.2])
 
 
 def _points(
-    diagram: str, ways: dict[str, Callable], error: Callable[[Any], float], settings: Settings
+    diagram: str, methods: dict[str, Callable], error: Callable[[Any], float], settings: Settings
 ) -> tuple[Point, ...]:
-    """Each way's points. **Arguments:** `ways`: from the most seconds to `_curve`s."""
+    """Returns the points of all methods.
+
+    **Arguments:** `methods`: functions from a time limit in seconds to a curve, as `_curve`.
+    `error`: of a scene of a curve.
+    """
     points = []
-    for method, way in ways.items():
+    for method, fit_for in methods.items():
         settings.say(f"{method}, {diagram}")
-        first, curve = way(settings.fit_seconds / 10), way(settings.fit_seconds)
-        k = min(_COMPILED, len(first) - 1, len(curve) - 1)
+        first, curve = fit_for(settings.fit_seconds / 10), fit_for(settings.fit_seconds)
+        k = min(_COMPILING_STEPS, len(first) - 1, len(curve) - 1)
         compiling = max(first[k][0] - curve[k][0], 0.0)
         for k in _spread(len(curve)):
-            seconds, found = curve[k]
-            one = f"step {k}", float(k), "float64", seconds, compiling, error(found), 0
+            seconds, values = curve[k]
+            one = f"step {k}", float(k), "float64", seconds, compiling, error(values), 0
             points.append(Point(diagram, method, *one))
     return tuple(points)
 
 
 def _curve(first: Scene, target: Picture, most: float, **chosen: Any) -> list:
-    """Seconds and scenes, step by step from the first one on, until it is time to stop."""
+    """Fits until `most` seconds have passed. **Returns:** seconds and scenes, step by step."""
     curve, began = [(0.0, first)], time.perf_counter()
 
     def note(progress: Progress) -> None:
         curve.append((time.perf_counter() - began, progress.scene))
         if curve[-1][0] > most:
-            raise KeyboardInterrupt  # as fit ends with the best scene so far
+            raise KeyboardInterrupt  # which ends `fit` with the best scene so far
 
     with jax.numpy_dtype_promotion("standard"):  # as Optax needs it
         fit(first, target, callback=note, max_steps=_MOST_STEPS, **chosen)
@@ -191,12 +201,12 @@ def _curve(first: Scene, target: Picture, most: float, **chosen: Any) -> list:
 
 
 def _products(scene: Scene) -> Float[Array, " numbers"]:
-    """ka color, kd color and ks of all spheres."""
+    """Returns ka color, kd color and ks of all spheres."""
     return jnp.concatenate([product(scene).reshape(-1) for product in PRODUCTS.values()])
 
 
 def _spread(count: int) -> list[int]:
-    """Up to so many numbers of steps, ever wider apart."""
+    """Returns at most `_MOST_POINTS` numbers of steps, at growing distances."""
     wanted = (
         np.geomspace(1, count, _MOST_POINTS) if count > _MOST_POINTS else np.arange(1, count + 1)
     )

@@ -1,4 +1,4 @@
-"""The same fits by Mitsuba 3 with Adam, where it is installed: matt spheres, which both draw."""
+"""Mitsuba: fits of matt spheres by Mitsuba 3 with Adam, if installed."""
 
 import time
 from typing import Any, NamedTuple
@@ -13,18 +13,18 @@ from ...scene.scene import Scene
 
 LIGHT = "light.position"
 
-#: Seconds after a step, and what it came to: lights' positions, then reflectances, row by row.
+#: Seconds and values after each step: the light's position, then reflectances, row by row.
 Curve = list[tuple[float, Float[np.ndarray, "rows 3"]]]
 
 
 class Recipe(NamedTuple):
-    """How Adam is used. The rates are the best that were found by trial for the nine spheres."""
+    """Parameters of Adam. The rates are the best of several trials with the nine spheres."""
 
     color_rate: float
-    light_rate: float  #: by the light's distance at the start
+    light_rate: float  #: per distance of the light at the start
     beta_2: float
-    halved: float  # iterations in which the rates halve
-    steady: bool  # intensity pi |position|^2: a farther light is no darker, as in our model
+    halved: float  #: iterations in which the rates halve
+    steady: bool  #: intensity pi |position|^2: no fall-off, as in our model
 
 
 RECIPES = {
@@ -34,9 +34,9 @@ RECIPES = {
 
 
 def mitsuba() -> tuple[Any, Any]:
-    """Mitsuba and Dr.Jit for CPUs.
+    """Imports Mitsuba and Dr.Jit, for CPUs.
 
-    **Raises:** `ImportError` where they or LLVM are missing.
+    **Raises:** `ImportError` where Mitsuba, Dr.Jit or LLVM is missing.
     """
     try:
         import drjit  # pyright: ignore[reportMissingImports]
@@ -44,13 +44,13 @@ def mitsuba() -> tuple[Any, Any]:
 
         mitsuba.set_variant("llvm_ad_rgb")
         drjit.eval(drjit.llvm.Float(1) + 1)
-    except Exception as error:  # what is missing is said in many ways
+    except Exception as error:  # of many types, depending on the missing library
         raise ImportError(str(error).splitlines()[0]) from error
     return mitsuba, drjit
 
 
 def matt(scene: Scene) -> Scene:
-    """The scene without ambient light, highlights and reflections; Mitsuba knows one light."""
+    """Removes ambient light, highlights, reflections, and all lights but the first."""
     shine = lambda s: (s.spheres.ka, s.spheres.ks, s.spheres.kgr, s.spheres.kt)
     scene = eqx.tree_at(shine, scene.with_antialias(0), replace_fn=jnp.zeros_like)
     first = lambda s: (s.lights.position, s.lights.color)
@@ -58,17 +58,18 @@ def matt(scene: Scene) -> Scene:
 
 
 def fitted(scene: Scene) -> Float[np.ndarray, "rows 3"]:
-    """The light's position, then the reflectances kd*color, row by row."""
+    """Returns the light's position, then the reflectances kd*color, row by row."""
     s = scene.spheres
     return np.concatenate([scene.lights.position, s.kd[:, None] * s.color])
 
 
-def mitsuba_scene(mi: Any, scene: Scene, size: int, balls: str = "sphere") -> Any:
-    """The same with diffuse spheres: kd*color is their reflectance.
+def mitsuba_scene(mi: Any, scene: Scene, size: int, shape: str = "sphere") -> Any:
+    """Builds the scene for Mitsuba with diffuse spheres of reflectance kd*color.
 
-    As bright as ours in the world's middle: the light makes up for 1/r^2 and Lambert's 1/pi.
+    Its picture is as bright as ours at the world's origin: the light's intensity compensates 1/r^2
+    and Lambert's 1/pi.
 
-    **Arguments:** `balls`: `"sphere"`: each is a shape of its own; `"ellipsoids"`: all are one
+    **Arguments:** `shape`: `"sphere"` for one shape each; `"ellipsoids"` for all spheres in one
     shape, of one colour.
     """
     frame, light = view_frame(scene.camera), np.asarray(scene.lights.position[0], float)
@@ -78,38 +79,41 @@ def mitsuba_scene(mi: Any, scene: Scene, size: int, balls: str = "sphere") -> An
     film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
     fov = float(np.degrees(2 * np.arctan(scene.camera.window / 2 / scene.camera.distance)))
     view = mi.ScalarTransform4f().look_at(origin=eye, target=eye + forward, up=up)
-    world = {
+    entries = {
         "type": "scene",
         "sensor": {"type": "perspective", "fov": fov, "to_world": view, "film": film},
         "light": {"type": "point", "position": light.tolist(), "intensity": intensity},
-        # samples of surfaces never meet the light; `prb` takes twice the time, and the light stays
+        # surface samples never meet a point light; `prb` takes twice the time, and does not move it
         "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
     }
     s = scene.spheres
     center, radius, color = (np.asarray(x) for x in (s.center, s.radius, s.kd[:, None] * s.color))
-    if balls == "ellipsoids":
-        world["balls"] = {
+    if shape == "ellipsoids":
+        entries["balls"] = {
             "type": "ellipsoids",
             "centers": mi.TensorXf(center),
             "scales": mi.TensorXf(np.repeat(radius[:, None], 3, axis=1)),
             "quaternions": mi.TensorXf(np.tile([0.0, 0, 0, 1], (len(radius), 1))),
             "extent": 1.0,
         }
-        return mi.load_dict(world)
+        return mi.load_dict(entries)
     for i in range(len(radius)):
-        world[f"ball{i}"] = {
+        entries[f"ball{i}"] = {
             "type": "sphere",
             "center": center[i].tolist(),
             "radius": float(radius[i]),
             "bsdf": {"type": "diffuse", "reflectance": rgb(color[i])},
         }
-    return mi.load_dict(world)
+    return mi.load_dict(entries)
 
 
 def adam_fit(start: Scene, truth: Scene, size: int, recipe: Recipe, seconds: float) -> Curve:
-    """Mitsuba's way from a start to its own picture of the truth, of matt scenes with one light.
+    """Fits a matt scene with one light to Mitsuba's own picture of the truth, by Adam.
 
-    One sample per pixel, always the target's: without noise Adam comes nearest.
+    Pictures have one sample per pixel, always that of the target: without noise, the error is
+    least.
+
+    **Arguments:** `seconds`: the time limit. **Returns:** the curve of the fit.
 
     **Raises:** `ImportError` where Mitsuba is missing.
     """

@@ -1,4 +1,4 @@
-"""Pictures: error against time, of single rays and of covered edges, in both precisions."""
+"""Pictures: error against time of single rays and of covered edges, in both precisions."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -16,19 +16,19 @@ from .work_precision import Diagram, Point, Program, clock, relative
 
 
 def pictures(scene: Scene, settings: Settings) -> Iterator[Diagram]:
-    """The diagram of a scene's pictures."""
+    """Yields the diagram of a scene's pictures."""
     exact = scene.astype(jnp.float64)
     size: dict[str, Any] = dict(width=settings.size, height=settings.size)
     drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
     settings.say(f"picture: {settings.truth_rays} rays per pixel for the truth")
-    program = render_settings(exact.with_antialias(0), **size, **drawn)
-    truth = np.asarray(reference_picture(program, settings.truth_rays)(exact))
-    coarser = np.asarray(reference_picture(program, settings.truth_rays // 2)(exact))
+    checked = render_settings(exact.with_antialias(0), **size, **drawn)
+    truth = np.asarray(reference_picture(checked, settings.truth_rays)(exact))
+    coarser = np.asarray(reference_picture(checked, settings.truth_rays // 2)(exact))
     programs = {}
     methods = (("single rays", 0, settings.rays), ("covered edges", 1, settings.covered))
     for method, antialias, knobs in methods:
         for dtype in ("float32", "float64"):
-            # of a quick study single rays alone: covered edges compile for long
+            # quick studies have single rays alone in float64: covered edges compile for long
             for k in knobs if dtype == "float32" or settings.thorough else knobs[: 1 - antialias]:
                 sampled = scene.with_antialias(antialias).astype(dtype)
                 picture = partial(

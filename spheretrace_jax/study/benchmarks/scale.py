@@ -1,5 +1,6 @@
-"""Scale: time and memory against pixels, spheres, lights and bounces."""
+"""Scaling: time and memory against pixels, spheres, lights and bounces."""
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -17,104 +18,125 @@ from ...scene.spheres import Spheres
 from .settings import Settings
 from .work_precision import Diagram, Point, Program, clock
 
+_Case = tuple[Scene, int, int]
+"""A scene, the side of its picture in pixels, and the bounces."""
+
 
 def scale(scene: Scene, settings: Settings) -> Iterator[Diagram]:
-    """Four diagrams of single rays: each sweeps one thing and leaves the others as they are."""
+    """Yields four diagrams of single rays, each of which sweeps one size."""
     scene = scene.with_antialias(0).astype(jnp.float32)
     bounces, side = settings.bounces, settings.sides[-1] // 2
-    sweeps: dict[str, tuple[str, tuple[int, ...], Callable]] = {
+    sweeps: dict[str, tuple[str, tuple[int, ...], Callable[[int], _Case]]] = {
         "pixels": ("pixels", settings.sides, lambda n: (scene, n, bounces)),
         "spheres": ("spheres", settings.counts, lambda n: (cloud(scene, n), side, bounces)),
         "lights": ("lights", settings.lights, lambda n: (lit_by(scene, n), side, bounces)),
         "bounces": ("bounces + 1", settings.depths, lambda n: (mirroring(scene), side, n)),
     }
-    shared: dict[tuple, Program] = {}
-
-    def compiled(work: str, one: Scene, program: RenderSettings) -> Program:
-        """Once where sweeps meet: one light, or a bounce, is the scene as it is."""
-        shapes = jax.tree.structure(one), *map(jnp.shape, jax.tree.leaves(one))
-        if (work, program, *shapes) not in shared:
-            picture = partial(draw, settings=program)
-            total = lambda scene: jnp.sum(picture(scene))
-            function = picture if work == "picture" else jax.grad(total)
-            shared[work, program, *shapes] = Program(function, one)
-        return shared[work, program, *shapes]
-
+    programs = _Programs({})
     for name, (label, numbers, case) in sweeps.items():
         if name in ("spheres", "bounces") and not len(scene.spheres):
             continue
         settings.say(f"scale: {name}")
-        programs: dict[tuple[str, int], Program] = {}
-        runs: dict[tuple[str, int], Callable] = {}
-        for n in numbers:
-            one, width, depth = case(n)
-            program = render_settings(
-                one, width, width, highlight=settings.highlight, bounces=depth
-            )
-            for work in ("picture", "gradient") if settings.thorough else ("picture",):
-                programs[work, n] = compiled(work, one, program)
-                runs[work, n] = partial(programs[work, n], one)
-        taken = clock(runs, settings.seconds)
-        size = lambda n, name=name: float({"pixels": n * n, "bounces": n + 1}.get(name, n))
-        knob = lambda n, name=name: f"{n} x {n} pixels" if name == "pixels" else _some(n, name)
-        points = [
-            Point(
-                f"scale_{name}", work, knob(n), size(n), "float32", taken[work, n],
-                program.compile_seconds, float("nan"), program.memory,
-            )
-            for (work, n), program in programs.items()
-        ]  # fmt: skip
         yield Diagram(
             f"scale_{name}",
             f"Time and memory against {name}",
             "",
-            _of_pictures(name, side, bounces),
+            _description(name, side, bounces),
             float("nan"),
-            tuple(points),
+            _points(name, {n: case(n) for n in numbers}, programs, settings),
             label,
         )
 
 
-def _of_pictures(name: str, side: int, bounces: int) -> str:
-    parts = [f"{side} x {side} pixels"] * (name != "pixels")
-    parts += [f"bounces: {bounces}"] * (name != "bounces")
-    return ", ".join(["float32, single rays", *parts])
+@dataclasses.dataclass(frozen=True)
+class _Programs:
+    """Compiled programs, shared where sweeps meet: at one light, or at the scene's bounces."""
+
+    compiled: dict[tuple, Program]
+
+    def of(self, work: str, scene: Scene, drawn: RenderSettings) -> Program:
+        """Compiles a picture, or a gradient of its sum, once for each shape of a scene."""
+        shapes = jax.tree.structure(scene), *map(jnp.shape, jax.tree.leaves(scene))
+        key = work, drawn, *shapes
+        if key not in self.compiled:
+            picture = partial(draw, settings=drawn)
+            total = lambda scene: jnp.sum(picture(scene))
+            self.compiled[key] = Program(picture if work == "picture" else jax.grad(total), scene)
+        return self.compiled[key]
 
 
-def _some(count: int, name: str) -> str:
-    return f"{count} {name}" if count != 1 else f"1 {'bounce' if name == 'bounces' else name[:-1]}"
+def _points(
+    name: str, cases: dict[int, _Case], programs: _Programs, settings: Settings
+) -> tuple[Point, ...]:
+    """Measures all cases of a sweep: pictures, and gradients in thorough studies."""
+    measured: dict[tuple[str, int], Program] = {}
+    runs: dict[tuple[str, int], Callable] = {}
+    for n, (scene, side, bounces) in cases.items():
+        drawn = render_settings(scene, side, side, highlight=settings.highlight, bounces=bounces)
+        for work in ("picture", "gradient") if settings.thorough else ("picture",):
+            measured[work, n] = programs.of(work, scene, drawn)
+            runs[work, n] = partial(measured[work, n], scene)
+    taken = clock(runs, settings.seconds)
+    return tuple(
+        Point(
+            f"scale_{name}", work, _knob(n, name), _size(n, name), "float32", taken[work, n],
+            program.compile_seconds, float("nan"), program.memory,
+        )
+        for (work, n), program in measured.items()
+    )  # fmt: skip
+
+
+def _description(name: str, side: int, bounces: int) -> str:
+    """Describes the pictures of a sweep."""
+    sizes = [f"{side} x {side} pixels"] * (name != "pixels")
+    sizes += [f"bounces: {bounces}"] * (name != "bounces")
+    return ", ".join(["float32, single rays", *sizes])
+
+
+def _size(n: int, name: str) -> float:
+    """Returns the swept size: pixels, spheres, lights, or segments of paths."""
+    return float({"pixels": n * n, "bounces": n + 1}.get(name, n))
+
+
+def _knob(n: int, name: str) -> str:
+    """Returns a number of a sweep in words, such as `1 bounce`."""
+    if name == "pixels":
+        return f"{n} x {n} pixels"
+    return f"{n} {name}" if n != 1 else f"1 {'bounce' if name == 'bounces' else name[:-1]}"
 
 
 def cloud(scene: Scene, count: int) -> Scene:
-    """So many spheres in place of the scene's: about as dense, and made of the same materials."""
+    """Replaces the spheres by `count` spheres of the same density and materials."""
     rng = np.random.default_rng(0)
     s = scene.spheres
     center, radius = np.asarray(s.center), np.asarray(s.radius)
     low, high = (center - radius[:, None]).min(0), (center + radius[:, None]).max(0)
-    which = rng.integers(0, len(s), count)
-    small = radius[which] * (len(s) / count) ** (1 / 3)
-    inside = rng.uniform(low, high, (count, 3))
-    parts = (s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
-    pic = tuple(s.pic[i] for i in which)
-    made_of = (x[which] for x in parts)
-    spheres = Spheres(*(jnp.asarray(x, s.radius.dtype) for x in (inside, small)), *made_of, pic=pic)
+    copied = rng.integers(0, len(s), count)
+    new_radius = radius[copied] * (len(s) / count) ** (1 / 3)
+    new_center = rng.uniform(low, high, (count, 3))
+    material = (s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
+    spheres = Spheres(
+        *(jnp.asarray(x, s.radius.dtype) for x in (new_center, new_radius)),
+        *(x[copied] for x in material),
+        pic=tuple(s.pic[i] for i in copied),
+    )
     return eqx.tree_at(lambda x: x.spheres, scene, spheres)
 
 
 def lit_by(scene: Scene, count: int) -> Scene:
-    """The scene under so many lights, as far away as its first, which share the light."""
+    """Replaces the lights by `count` lights at the distance of the first, with one light's sum."""
     rng = np.random.default_rng(0)
     light = scene.lights.position[0] if len(scene.lights) else jnp.full(3, 1000, scene.dtype)
-    away = rng.standard_normal((count, 3))
-    away *= float(jnp.linalg.norm(light)) / np.linalg.norm(away, axis=1, keepdims=True)
-    away[0] = light
+    position = rng.standard_normal((count, 3))
+    position *= float(jnp.linalg.norm(light)) / np.linalg.norm(position, axis=1, keepdims=True)
+    position[0] = light
     color = jnp.full((count, 3), 1 / count, scene.dtype)
-    lights = Lights(jnp.asarray(away, scene.dtype), color)
+    lights = Lights(jnp.asarray(position, scene.dtype), color)
     return eqx.tree_at(lambda x: x.lights, scene, lights)
 
 
 def mirroring(scene: Scene) -> Scene:
-    """The scene, in which all spheres reflect a third where none does anything of the sort."""
+    """Makes all spheres reflect a third, in a scene without reflection and transmission."""
     if needs(scene).bounces:
         return scene
     kgr = jnp.full_like(scene.spheres.kgr, 1 / 3)

@@ -1,7 +1,7 @@
-"""`Point` and `Diagram`: error against run time, in the manner of work-precision diagrams.
+"""Work-precision diagrams: error against run time, one curve per method.
 
-One curve per method, along which the method's own knob is swept (Hairer, Norsett, Wanner, Solving
-Ordinary Differential Equations I, 1993, section II.10). Compilation is apart.
+A parameter of the method, its knob, is swept along the curve (Hairer, Norsett, Wanner, Solving
+Ordinary Differential Equations I, 1993, section II.10). Run time does not include compilation.
 """
 
 import dataclasses
@@ -23,38 +23,38 @@ class Point:
 
     diagram: str
     method: str
-    knob: str  #: what was swept, such as `samples 4`
-    size: float  #: its number
+    knob: str  #: the swept parameter, such as `samples 4`
+    size: float  #: the knob's number
     dtype: str
     seconds: float  #: of one run, without compilation
-    compile_seconds: float  #: what came before it, nan where that is part of another point's
-    error: float  #: as the diagram says; nan where only time is measured
-    memory: int  #: bytes of temporaries that the compiled program takes, 0 where not known
+    compile_seconds: float  #: of compilation; nan where another point includes it
+    error: float  #: in the diagram's unit; nan where only time is measured
+    memory: int  #: temporaries of the compiled program, bytes; 0 if unknown
 
 
 @dataclasses.dataclass(frozen=True)
 class Diagram:
-    """Points of several methods that do the same work."""
+    """Points of several methods for the same task."""
 
-    name: str  #: of its figure's file
+    name: str  #: of the figure's file
     title: str
-    error: str  #: what the error is, with its unit; "" where time is shown against `knob`
-    reference: str  #: what the truth is
-    uncertainty: float  #: how far the truth itself may be off; nan where it is exact
+    error: str  #: the error, with its unit; "" where time is shown against `knob`
+    reference: str  #: description of the reference
+    uncertainty: float  #: error of the reference; nan for exact references
     points: tuple[Point, ...]
-    knob: str = "seconds"  #: what is along the figure's lower side
+    knob: str = "seconds"  #: label of the figure's horizontal axis
 
     @property
     def curves(self) -> dict[str, list[Point]]:
-        """The points, method by method."""
-        found: dict[str, list[Point]] = {}
+        """Returns the points of each method."""
+        curves: dict[str, list[Point]] = {}
         for point in self.points:
-            found.setdefault(point.method, []).append(point)
-        return found
+            curves.setdefault(point.method, []).append(point)
+        return curves
 
 
 class Program:
-    """A function that is compiled at once for its arguments, timed and measured."""
+    """A function compiled for its arguments, with its compilation time and memory."""
 
     def __init__(self, function: Callable, *arguments: Any):
         began = time.perf_counter()
@@ -66,24 +66,26 @@ class Program:
         self.memory = 0 if analysis is None else int(analysis.temp_size_in_bytes)
 
     def __call__(self, *arguments: Any) -> Any:
-        """What the function returns. **Arguments:** by default those that it was compiled for."""
+        """Calls the function. **Arguments:** by default those of the compilation."""
         return jax.block_until_ready(self._run(*(arguments or self._arguments)))
 
 
-def clock(works: dict[Any, Callable[[], Any]], seconds: float) -> dict[Any, float]:
-    """Median seconds of a run of each: interleaved, so that all meet the same machine.
+def clock(runs: dict[Any, Callable[[], Any]], seconds: float) -> dict[Any, float]:
+    """Measures the median time of each run, interleaved, so that all meet the same machine load.
 
-    **Arguments:** `works`: compiled already. `seconds`: for each of them, at least three runs
-    unless one takes as long.
+    **Arguments:** `runs`: compiled functions. `seconds`: the time for each function, which makes
+    at least three runs, unless one run takes longer.
+
+    **Returns:** seconds.
     """
-    for work in works.values():
-        work()
-    taken: dict[Any, list[float]] = {key: [] for key in works}
-    waiting = list(works)
+    for run in runs.values():
+        run()
+    taken: dict[Any, list[float]] = {key: [] for key in runs}
+    waiting = list(runs)
     while waiting:
         for key in waiting:
             began = time.perf_counter()
-            works[key]()
+            runs[key]()
             taken[key].append(time.perf_counter() - began)
         spent = lambda key: sum(taken[key]) + statistics.median(taken[key]) > seconds
         enough = lambda key: spent(key) and (len(taken[key]) >= 3 or taken[key][0] > seconds)
@@ -92,13 +94,13 @@ def clock(works: dict[Any, Callable[[], Any]], seconds: float) -> dict[Any, floa
 
 
 def relative(value: Any, truth: Any) -> float:
-    """The relative error in the L2 norm; absolute where the truth is 0."""
+    """Returns the relative error in the L2 norm; the absolute one where the truth is 0."""
     size = float(np.linalg.norm(truth))
     return float(np.linalg.norm(np.asarray(value, float) - truth)) / (size or 1.0)
 
 
 def slope(points: Iterable[tuple[float, float]]) -> float:
-    """The exponent p of y = c x^p, by least squares; nan of fewer than two points."""
+    """Fits the exponent p of y = c x^p by least squares; nan for fewer than two points."""
     kept = [(math.log(x), math.log(y)) for x, y in points if x > 0 and y > 0]
     if len({x for x, _ in kept}) < 2:
         return float("nan")

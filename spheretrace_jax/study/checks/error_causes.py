@@ -70,7 +70,7 @@ def explain(
     error: Float[np.ndarray, " pixels"],
     brightest: float,
 ) -> list[Explanation]:
-    """Finds the causes of the errors of the given pixels.
+    """Finds the causes of the pixels' errors.
 
     **Arguments:** `both`: the scene in float32 and in float64. `pixels`: numbered row by row.
     `error`: the pixels' errors. `brightest`: the picture's largest number.
@@ -79,8 +79,8 @@ def explain(
     """
     # where paths branch, the two paths that always reflect, or always go straight on
     choices = (0, 1) if settings.bounces and settings.needs.branching else (0,)
-    places = np.stack(jax.tree.map(np.asarray, sample_positions(both[1], settings)), axis=-1)
-    logs = [_log_both(both, settings, pixels, place, c) for place in places for c in choices]
+    offsets = np.stack(jax.tree.map(np.asarray, sample_positions(both[1], settings)), axis=-1)
+    logs = [_log_both(both, settings, pixels, offset, c) for offset in offsets for c in choices]
     difference = np.stack([_difference(single, double) for single, double in logs])
     worst_path = difference.argmax(axis=0)
     of_pixel = lambda log, k: jax.tree.map(lambda x: x[:, k], log)
@@ -96,13 +96,13 @@ def _log_both(
     both: tuple[Scene, Scene],
     settings: RenderSettings,
     pixels: np.ndarray,
-    place: np.ndarray,
+    offset: np.ndarray,
     choice: int,
 ) -> tuple[RayRecord, RayRecord]:
     """Logs one ray through each pixel, in both precisions. **Returns:** two logs in float64."""
 
     def log(scene: Scene) -> RayRecord:
-        left, top = jnp.asarray(place, scene.dtype)
+        left, top = jnp.asarray(offset, scene.dtype)
         record = log_rays(scene, settings, jnp.asarray(pixels, jnp.int32), left, top, choice)
         return jax.tree.map(_double, record)
 

@@ -1,0 +1,109 @@
+"""Arguments that several commands of the program share, and how their words are read."""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from tyro.conf import Positional, arg
+
+from ..base.errors import InputError
+from ..base.types import Highlight
+
+SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
+Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
+HighlightModel = Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")]
+_BOUNCES = arg(metavar="N", help="reflections and transmissions at most")
+Bounces = Annotated[int, _BOUNCES]
+OptionalBounces = Annotated[int | None, _BOUNCES]
+Size = Annotated[str, arg(metavar="WxH", help="width and height in pixels")]
+Samples = Annotated[
+    int, arg(metavar="K", help="each pixel is the mean of K x K parts, as the antialias flag says")
+]
+CacheFolder = Annotated[
+    Path | None,
+    arg(metavar="DIR", help="keep compiled programs in this folder, and take them from there"),
+]
+
+
+@dataclass(kw_only=True)
+class Command:
+    """A command of the program."""
+
+    always_double: ClassVar[bool] = False  #: works in float64, whatever the picture's precision
+
+    def run(self) -> int:
+        """Runs the command. **Returns:** the exit status of the program."""
+        raise NotImplementedError
+
+
+@dataclass(kw_only=True)
+class Compiling(Command):
+    """A command that compiles programs."""
+
+    cache: CacheFolder = None
+
+
+@dataclass(kw_only=True)
+class Sized(Command):
+    """A command that draws pictures of a given size."""
+
+    size: Size = "512x512"
+
+    @property
+    def width_height(self) -> dict[str, int]:
+        """Returns the size as arguments of `render`. **Raises:** `InputError`."""
+        from ..files.images import MOST_PIXELS
+
+        match = re.fullmatch(r"([1-9]\d{0,8})x([1-9]\d{0,8})", self.size, re.ASCII)
+        if not match:
+            raise InputError(
+                f"--size must be WIDTHxHEIGHT in pixels, such as 512x512, got {self.size!r}"
+            )
+        width, height = int(match[1]), int(match[2])
+        if width * height > MOST_PIXELS:
+            raise InputError(f"--size must be at most {MOST_PIXELS} pixels in all, got {self.size}")
+        return {"width": width, "height": height}
+
+
+@dataclass(kw_only=True)
+class Tracing(Command):
+    """A command that follows rays."""
+
+    highlight: HighlightModel = "phong"
+    bounces: Bounces = 5
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Returns the settings of pictures as arguments of `render`."""
+        return {"highlight": self.highlight, "bounces": self.bounces}
+
+
+@dataclass(kw_only=True)
+class Sampling(Tracing):
+    """A command that follows rays through the samples of pixels."""
+
+    samples: Samples = 1
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Returns the settings of pictures as arguments of `render`."""
+        return super().settings | {"samples": self.samples}
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Splits names at commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def check_folder(folder: Path | None) -> None:
+    """Checks early that a folder can be written to, or made. **Raises:** `InputError`."""
+    if folder is None:
+        return
+    existing = next(f for f in (folder, *folder.parents) if f.exists())
+    if not existing.is_dir():
+        file = "this" if existing == folder else existing
+        raise InputError(f"{folder}: expected a folder to write to, {file} is a file")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: the folder {existing} cannot be written to")
