@@ -51,9 +51,6 @@ def unit(a: Vectors) -> Vectors:
     return a / jnp.where(size > 0, size, 1)
 
 
-# --- the camera -----------------------------------------------------------------------------------
-
-
 def camera_axes(camera: Camera) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Returns eye, right, up and forward: the eye is on a sphere and looks at its centre, 0.
 
@@ -81,9 +78,6 @@ def plain_rays(
     x, y = (columns[:, None] - size[0] / 2) * pitch, (size[1] / 2 - rows[:, None]) * pitch
     D = unit(x * right + y * up + camera.distance * forward)
     return jnp.broadcast_to(eye, D.shape), D
-
-
-# --- what rays meet -------------------------------------------------------------------------------
 
 
 def spheres(scene: Scene) -> Iterator[tuple[int, tuple[Vectors, Numbers]]]:
@@ -131,17 +125,17 @@ def meet_plane(E: Vectors, D: Vectors, point: Vectors, n: Vectors) -> Numbers:
     return jnp.where(slope != 0, dot(point - E, n) / jnp.where(slope != 0, slope, 1), jnp.inf)
 
 
-def closest_hit(scene: Scene, E: Vectors, D: Vectors, left: Hit | None = None) -> Hit:
+def closest_hit(scene: Scene, E: Vectors, D: Vectors, source: Hit | None = None) -> Hit:
     """Finds the nearest object in front of each ray's start; of equally near ones, the first.
 
     A sphere is met at its near root, from inside at its far one. A ray skips the object that it
     leaves, with no epsilon, as spheres are convex. Only a ray mirrored on the inside of a sphere
     meets that sphere again: its roots are 0 and 2 a.
 
-    **Arguments:** `left`: the hits that the rays leave, None for rays from the eye.
+    **Arguments:** `source`: the hits that the rays leave, None for rays from the eye.
     """
     nothing = jnp.full(D[:, :1].shape, False)
-    left = Hit(0 * D[:, :1], jnp.where(nothing, 0, -2), nothing) if left is None else left
+    source = Hit(0 * D[:, :1], jnp.where(nothing, 0, -2), nothing) if source is None else source
     best = Hit(jnp.full(nothing.shape, jnp.inf, D.dtype), jnp.where(nothing, 0, -1), nothing)
 
     def nearer(*new: Numbers | int | Mask) -> Hit:
@@ -150,18 +144,18 @@ def closest_hit(scene: Scene, E: Vectors, D: Vectors, left: Hit | None = None) -
 
     for i, (C, R) in spheres(scene):
         near, far, a = meet_sphere(E, D, C, R)
-        own, again = left.id == i, (left.id == i) & left.behind
+        own, again = source.id == i, (source.id == i) & source.behind
         t = jnp.where(near > 0, near, far)
         t = jnp.where(again, 2 * a, jnp.where(own, jnp.inf, t))
         best = nearer(t, i, again | (near <= 0))
     for j, (point, n) in planes(scene):
-        t = jnp.where(left.id == j, jnp.inf, meet_plane(E, D, point, n))
+        t = jnp.where(source.id == j, jnp.inf, meet_plane(E, D, point, n))
         best = nearer(t, j, dot(D, n) > 0)
     return best._replace(t=jnp.where(best.id >= 0, best.t, 0))
 
 
 def light_visible(scene: Scene, P: Vectors, L: Vectors, distance: Numbers, hit: Hit) -> Mask:
-    """Tests for shadow: returns whether the segment from P to a light meets no other object.
+    """Tests for shadow: whether the segment from P to a light meets no other object.
 
     It meets one if a root t of the ray P + t L is between 0 and the light's distance, also where P
     or the light is in a sphere. The sphere that P is on counts only if P is on its inside: from
@@ -176,9 +170,6 @@ def light_visible(scene: Scene, P: Vectors, L: Vectors, distance: Numbers, hit: 
     for j, (point, n) in planes(scene):
         blocked = blocked | (hit.id != j) & between(meet_plane(P, L, point, n))
     return ~blocked
-
-
-# --- the surface ----------------------------------------------------------------------------------
 
 
 def normal(scene: Scene, P: Vectors, hit: Hit) -> Vectors:
@@ -222,8 +213,8 @@ def texture_color(image: Float[Array, "rows columns 3"], direction: Vectors) -> 
     return upper * (i + 1 - row) + lower * (row - i)
 
 
-def other_square(P: Vectors, point: Vectors, n: Vectors, size: Scalar) -> Mask:
-    """Returns whether P is on a checker's other squares. None are where the size is 0.
+def second_square(P: Vectors, point: Vectors, n: Vectors, size: Scalar) -> Mask:
+    """Tests whether P is on a checker's second squares; no P is where the size is 0.
 
     A corner of a square is at `point`. Sides run along the world's x axis laid into the plane, and
     across it; along y where n is nearest to x.
@@ -246,12 +237,9 @@ def surface_color(scene: Scene, P: Vectors, N: Vectors, hit: Hit) -> Vectors:
             S = jnp.where(hit.id == i, S * texture_color(image, outward), S)
     checkers = all_planes(scene)
     for k, (j, (point, n)) in enumerate(planes(scene)):
-        other = (hit.id == j) & other_square(P, point, n, checkers.checker_size[k])
+        other = (hit.id == j) & second_square(P, point, n, checkers.checker_size[k])
         S = jnp.where(other, checkers.checker_color[k][None], S)
     return S
-
-
-# --- shading --------------------------------------------------------------------------------------
 
 
 def highlight_term(N: Vectors, L: Vectors, V: Vectors, n: Numbers, highlight: Highlight) -> Numbers:
@@ -286,11 +274,8 @@ def shade(
     return C
 
 
-# --- paths ----------------------------------------------------------------------------------------
-
-
 def some(*coefficients: Float[Array, " _"]) -> bool:
-    """Returns whether any is not 0, or not known yet, as under `jit` and `grad`."""
+    """Tests whether any is not 0, or not known yet, as under `jit` and `grad`."""
     return any(isinstance(k, jax.core.Tracer) or np.asarray(k).any() for k in coefficients)
 
 
@@ -300,7 +285,7 @@ def plain_radiance(
     direction: Vectors,
     highlight: Highlight = "phong",
     bounces: int = 5,
-    left: Hit | None = None,
+    source: Hit | None = None,
 ) -> Vectors:
     """Traces rays and returns their colours: Whitted's recursion (CACM 23(6), 1980).
 
@@ -311,9 +296,9 @@ def plain_radiance(
 
     **Arguments:** `origin`, `direction`: of rays, directions of unit length, as from `plain_rays`.
     `bounces`: how deep the recursion goes. If kgr and kt are traced, n bounces are 2^n programs.
-    `left`: the hits that the rays leave, None for rays from the eye.
+    `source`: the hits that the rays leave, None for rays from the eye.
     """
-    hit = closest_hit(scene, origin, direction, left)
+    hit = closest_hit(scene, origin, direction, source)
     P = origin + hit.t * direction
     N = normal(scene, P, hit)
     color = shade(scene, P, N, -direction, hit, highlight)

@@ -63,7 +63,7 @@ def test_lattices_fill_the_square_evenly():
 def test_the_truth_is_what_many_rays_see():
     scene = three_spheres()
     seen = dict(width=16, height=16, bounces=0)
-    truth = reference_picture(render_settings(scene, **seen), 2000)(scene)
+    truth = reference_picture(scene, render_settings(scene, **seen), 2000)(scene)
     assert off(st.render(scene, samples=48, **seen), np.asarray(truth)) < 2e-3
 
 

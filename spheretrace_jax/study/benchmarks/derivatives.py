@@ -34,9 +34,8 @@ def derivatives(scene: Scene, settings: Settings) -> Iterator[Diagram]:
         bounces=settings.bounces, needs=needs(exact),
     )  # fmt: skip
     settings.say(f"derivative: {settings.truth_rays} rays per pixel for the truth")
-    picture = reference_picture(
-        render_settings(exact.with_antialias(0), **drawn), settings.truth_rays
-    )
+    checked = render_settings(exact.with_antialias(0), **drawn)
+    picture = reference_picture(exact, checked, settings.truth_rays)
     truth, wider = (np.asarray(_difference(picture, exact, motion, h * _STEP)) for h in (1, 2))
     weight = blurred(truth, settings.size / 24)
     total = float(np.vdot(weight, truth)) or 1.0

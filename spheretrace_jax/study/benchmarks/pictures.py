@@ -22,8 +22,10 @@ def pictures(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
     settings.say(f"picture: {settings.truth_rays} rays per pixel for the truth")
     checked = render_settings(exact.with_antialias(0), **size, **drawn)
-    truth = np.asarray(reference_picture(checked, settings.truth_rays)(exact))
-    coarser = np.asarray(reference_picture(checked, settings.truth_rays // 2)(exact))
+    truth, coarser = (
+        np.asarray(reference_picture(exact, checked, settings.truth_rays // k)(exact))
+        for k in (1, 2)
+    )
     programs = {}
     methods = (("single rays", 0, settings.rays), ("covered edges", 1, settings.covered))
     for method, antialias, knobs in methods:
