@@ -7,39 +7,37 @@ several objects, at edges and in mirrors, have columns for every object.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ...base.types import Ids, Index, Mask
-from ...base.vec import Vec, zeros
-from ...rendering.pixel_filter import NEIGHBOURS, filter_weights
+from ...base.vec import Vec
+from ...rendering.pixel_filter import filter_weights
 from ...rendering.samples import (
     area_radiance,
-    point_radiance,
     render_samples,
-    sample_positions,
-    sample_rays,
 )
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
-from ...tracing.context import TraceContext, build_context
-from ...tracing.material import background_color
-from ...tracing.path import first_path, shade_path
-from ...tracing.queries import known_hit
+from ...tracing.context import build_context
 from ...xla.compaction import prefix_sum
 from ...xla.sharding import on_devices, padded
 from ..model.target import Target
+from .bucketed_picture import (
+    BucketedPicture,
+    look_at_object,
+    look_at_sky,
+    look_by_ray,
+    mean_of_samples,
+)
 from .gram import Gram, LinearShading, gram, uses_gram
 from .jacobian_rows import ColorAndRows, color_and_rows
 from .parameter_index import ParameterIndex
 from .pixel_buckets import EDGE, MOST, SEVERAL, STILL, PixelBuckets, bucket_pixels
-
-T = TypeVar("T")
 
 # Pixels of one object, and those that show several, are looked at so many at a time, or else what
 # is left of the last time costs more than many times do: a step of the nine spheres' geometry at
@@ -53,9 +51,6 @@ CHUNKS_ABREAST = 8
 # Chunks of pixels that show several objects are as small as their part of the Jacobian has no more
 # than so many numbers, 12 MB in float64.
 MOST_NUMBERS = 1 << 19
-
-Look = Callable[..., Vec]
-"""From a context, pixels, which of them count, and a position in them to the colours seen."""
 
 
 class NormalEquations(eqx.Module):
@@ -125,103 +120,55 @@ def _of_rows(
     if buckets is None:
         buckets = bucket_pixels(context, index, target.counts, edge)
     weights = None if edge is None else filter_weights(edge, settings, scene.dtype)
-    picture = _Picture(context, target, exposure, buckets, weights, index)
+    picture = BucketedPicture(context, target, exposure, buckets, weights, index)
     n, dtype = index.size, scene.dtype
     normal = NormalEquations(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype))
     normal = _add_single(_add_still(normal, picture), picture)
     if settings.bounces or (settings.samples > 1 and not settings.antialias):
-        normal = _add_mixed(normal, picture, SEVERAL, partial(picture.near, _look_by_ray))
+        normal = _add_mixed(normal, picture, SEVERAL, partial(picture.near, look_by_ray))
     if settings.antialias:
-        normal = _add_mixed(normal, picture, EDGE, partial(_mean, area_radiance))
+        normal = _add_mixed(normal, picture, EDGE, partial(mean_of_samples, area_radiance))
     return normal
 
 
-class _Picture(eqx.Module):
-    """A scene's picture and its target, bucket by bucket."""
+def _add_bucket(
+    normal: NormalEquations,
+    picture: BucketedPicture,
+    label: Index,
+    columns: Int[Array, " columns"],
+    look: Callable[[Ids, Mask], ColorAndRows],
+    count: int,
+) -> NormalEquations:
+    """Adds the part of the pixels of one bucket, `count` at a time.
 
-    context: TraceContext
-    target: Target
-    exposure: Float[Array, " 3"]
-    buckets: PixelBuckets
-    weights: Float[Array, "5 pixels"] | None  #: of `NEIGHBOURS`; None for pixels that are points
-    index: ParameterIndex = eqx.field(static=True)
+    **Arguments:** `columns`: which of the free parameters the rows are of; out of bounds: none.
+    `look`: for some pixels, of which some count.
+    """
 
-    def near(self, look: Look, context: TraceContext, pixels: Ids, alive: Mask) -> Vec:
-        """Returns the mean of some pixels and, by the pixel filter, a little of their neighbours.
-
-        Says the same as `pixel_filter.filter_pixels`.
-        """
-        mean = partial(_mean, look, context, pixels, alive)
-        if self.weights is None:
-            return mean()
-        neighbours = (*jnp.asarray(NEIGHBOURS, context.dtype), self.weights[:, pixels])
-        return _sum(lambda x: mean((x[0], x[1])) * x[2], neighbours)
-
-    def add(
-        self,
-        normal: NormalEquations,
-        label: Index,
-        columns: Int[Array, " columns"],
-        look: Callable[[Ids, Mask], ColorAndRows],
-        count: int,
+    def add_chunk(
+        normal: NormalEquations, pixels: Ids, alive: Mask, target: Target
     ) -> NormalEquations:
-        """Adds the part of the pixels of one bucket, `count` at a time.
+        seen, rows = look(pixels, alive)
+        residual = target.residual(seen.T[None], picture.exposure)[0].T
+        by_picture, by_exposure = target.slopes(seen.T[None], picture.exposure)
+        parts = [rows(by_picture[0].T)]
+        if picture.index.exposure is not None:
+            parts.append(jnp.eye(3, dtype=seen.dtype)[:, :, None] * by_exposure[0].T[None])
+        # with the residual as one more column all products are one
+        both = jnp.concatenate([*parts, residual[None]])
+        both = both.reshape(len(both), -1)
+        products = both @ both.T
+        square, gradient = products[:-1, :-1], products[:-1, -1]
+        return normal.plus(columns, square, gradient, products[-1, -1] / 2)
 
-        **Arguments:** `columns`: which of the free parameters the rows are of; out of bounds: none.
-        `look`: for some pixels, of which some count.
-        """
-
-        def add_chunk(
-            normal: NormalEquations, pixels: Ids, alive: Mask, target: Target
-        ) -> NormalEquations:
-            seen, rows = look(pixels, alive)
-            residual = target.residual(seen.T[None], self.exposure)[0].T
-            by_picture, by_exposure = target.slopes(seen.T[None], self.exposure)
-            parts = [rows(by_picture[0].T)]
-            if self.index.exposure is not None:
-                parts.append(jnp.eye(3, dtype=seen.dtype)[:, :, None] * by_exposure[0].T[None])
-            # with the residual as one more column all products are one
-            both = jnp.concatenate([*parts, residual[None]])
-            both = both.reshape(len(both), -1)
-            products = both @ both.T
-            square, gradient = products[:-1, :-1], products[:-1, -1]
-            return normal.plus(columns, square, gradient, products[-1, -1] / 2)
-
-        return self.fold(label, add_chunk, normal, count)
-
-    def fold(
-        self, label: Index, step: Callable[[T, Ids, Mask, Target], T], start: T, count: int
-    ) -> T:
-        """Folds `step` over a bucket's pixels, `count` at a time.
-
-        **Arguments:** `step`: from the state so far, pixels, which of them count, and their part of
-        the target, of shape `(1, count, 3)`, to the next state.
-        """
-        begin, end = self.buckets.bounds(label)
-        numbers = jnp.arange(count, dtype=jnp.int32)
-
-        def body(k: Index, state: T) -> T:
-            first = begin + k * count
-            alive = first + numbers < end
-            pixels = lax.dynamic_slice(self.buckets.order, (first,), (count,))
-            return step(state, pixels, alive, self.target_at(pixels[None], alive[None]))
-
-        return lax.fori_loop(0, -((begin - end) // count), body, start)
-
-    def target_at(
-        self, pixels: Int[Array, "rows count"], alive: Bool[Array, "rows count"]
-    ) -> Target:
-        """Returns the part of the target of some pixels, of which some count."""
-        take = lambda x: x.reshape(-1, 3).at[pixels].get(mode="promise_in_bounds")
-        weight = jnp.where(alive[..., None], take(self.target.weight), 0)
-        return Target(take(self.target.image), weight, self.target.noise, self.target.loss)
+    return picture.fold(label, add_chunk, normal, count)
 
 
-def _add_still(normal: NormalEquations, picture: _Picture) -> NormalEquations:
+def _add_still(normal: NormalEquations, picture: BucketedPicture) -> NormalEquations:
     """Adds the background that does not move."""
 
     def seen(pixels: Ids, alive: Mask) -> Float[Array, "3 pixels"]:
-        color = picture.near(_look_at_sky, picture.context, pixels, alive)
+        color = picture.near(look_at_sky, picture.context, pixels, alive)
         return jnp.stack([color.x, color.y, color.z])
 
     def add_squares(squares: Array, pixels: Ids, alive: Mask, target: Target) -> Array:
@@ -234,10 +181,10 @@ def _add_still(normal: NormalEquations, picture: _Picture) -> NormalEquations:
         return eqx.tree_at(lambda n: n.cost, normal, normal.cost + cost)
     none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
     look = lambda pixels, alive: (seen(pixels, alive), none)
-    return picture.add(normal, STILL, jnp.asarray(picture.index.exposure), look, MOST)
+    return _add_bucket(normal, picture, STILL, jnp.asarray(picture.index.exposure), look, MOST)
 
 
-def _add_single(normal: NormalEquations, picture: _Picture) -> NormalEquations:
+def _add_single(normal: NormalEquations, picture: BucketedPicture) -> NormalEquations:
     """Adds the pixels that show one object each, object by object."""
     context, index = picture.context, picture.index
     if uses_gram(index, context.settings, len(context.scene.lights)):
@@ -249,15 +196,17 @@ def _add_single(normal: NormalEquations, picture: _Picture) -> NormalEquations:
         id_ = jnp.where(number < tables.object_count, number, -1).astype(tables.id_type)
 
         def look(pixels: Ids, alive: Mask) -> ColorAndRows:
-            see = partial(picture.near, partial(_look_at_object, id_), pixels=pixels, alive=alive)
+            see = partial(picture.near, partial(look_at_object, id_), pixels=pixels, alive=alive)
             return color_and_rows(see, context, row, index, pixels.size)
 
-        return picture.add(normal, number, jnp.asarray(index.each)[number], look, MOST_ALONE)
+        return _add_bucket(
+            normal, picture, number, jnp.asarray(index.each)[number], look, MOST_ALONE
+        )
 
     return lax.fori_loop(0, len(index.each), add_object, normal)
 
 
-def _add_gram(normal: NormalEquations, picture: _Picture) -> NormalEquations:
+def _add_gram(normal: NormalEquations, picture: BucketedPicture) -> NormalEquations:
     """Adds the same by Gram matrices of the shading, for chunks of several objects side by side."""
     context, index, buckets = picture.context, picture.index, picture.buckets
     count = len(index.each) - 1
@@ -300,7 +249,7 @@ def _add_gram(normal: NormalEquations, picture: _Picture) -> NormalEquations:
 
 
 def _add_mixed(
-    normal: NormalEquations, picture: _Picture, kind: int, mean: Callable[..., Vec]
+    normal: NormalEquations, picture: BucketedPicture, kind: int, mean: Callable[..., Vec]
 ) -> NormalEquations:
     """Adds the pixels that show several objects, of one kind.
 
@@ -314,54 +263,4 @@ def _add_mixed(
 
     columns = jnp.asarray(index.all)
     count = max(64, min(MOST_MIXED, MOST_NUMBERS // columns.size))
-    return picture.add(normal, len(index.each) + kind, columns, look, count)
-
-
-def _look_by_ray(context: TraceContext, pixels: Ids, alive: Mask, *position: Array) -> Vec:
-    """Returns what one ray sees of pixels."""
-    del alive
-    return point_radiance(context, pixels, *position)
-
-
-def _look_at_sky(context: TraceContext, pixels: Ids, alive: Mask, *position: Array) -> Vec:
-    """Returns the background that pixels show."""
-    del alive
-    black = zeros(pixels.shape, context.dtype)
-    if not context.needs.background:
-        return black
-    ray = sample_rays(context.scene, context.settings, pixels, *position)
-    return black + background_color(context.scene, ray.direction)
-
-
-def _look_at_object(
-    id_: Int[Array, ""], context: TraceContext, pixels: Ids, alive: Mask, *position: Array
-) -> Vec:
-    """Returns what pixels see that are known to show one object."""
-    ray = sample_rays(context.scene, context.settings, pixels, *position)
-    hit = known_hit(context, ray, jnp.broadcast_to(id_, pixels.shape))
-    return shade_path(context, first_path(ray, hit, alive))
-
-
-def _mean(
-    look: Look,
-    context: TraceContext,
-    pixels: Ids,
-    alive: Mask,
-    shift: tuple[Array, Array] | None = None,
-) -> Vec:
-    """Returns the mean of some pixels' samples. **Arguments:** `shift`: how far beside them."""
-    left, top = sample_positions(context.scene, context.settings)
-    if shift is not None:
-        left, top = left + shift[0], top + shift[1]
-    see = lambda position: look(context, pixels, alive, *position)
-    return _sum(see, (left, top)) * (1 / context.settings.samples**2)
-
-
-def _sum(term: Callable[[Any], Vec], rows: Any) -> Vec:
-    """Sums a term over the rows of arrays."""
-    first = term(jax.tree.map(lambda x: x[0], rows))
-    rest = jax.tree.map(lambda x: x[1:], rows)
-    if not jax.tree.leaves(rest)[0].size:
-        return first
-    add = lambda total, x: (total + term(x), None)
-    return lax.scan(jax.checkpoint(add), first, rest)[0]
+    return _add_bucket(normal, picture, len(index.each) + kind, columns, look, count)
