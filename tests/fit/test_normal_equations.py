@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from spheretrace_jax.fit.normal_equations.pixel_buckets import bucket_pixels
 from spheretrace_jax.fit.problem.compression import compressed_residual
 from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.tracing.context import build_context
 
 SHADED = ("color", "ka", "kd", "ks", "light_position")
 SOLID = ("color", "ka", "light_position", "center", "radius", "theta", "exposure")
@@ -108,7 +109,8 @@ def test_masked_pixels_are_skipped():
     scene = nine_spheres(SHADOWED)
     problem = problem_of(scene, SHADED, {}, dict(mask=mask))
     counts = problem.targets[0].counts
-    buckets = bucket_pixels(scene, problem.index(0), problem.settings[0], counts)
+    context = build_context(scene, problem.settings[0], accelerated=False)
+    buckets = bucket_pixels(context, problem.index(0), counts)
     visited = np.asarray(buckets.order)[: int(buckets.starts[-1])]
     np.testing.assert_array_equal(np.sort(visited), np.flatnonzero(mask))
 
