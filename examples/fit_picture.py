@@ -12,7 +12,7 @@ import numpy as np
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.model.products import determined_products
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent / "data" / "nine_spheres.txt"
 

@@ -28,7 +28,7 @@ class DemoCommand(Compiling):
     def run(self) -> int:
         """Fits, writes the scene, its picture and a report, and prints the errors."""
         from .. import load_scene, read_image, render, save_scene, write_image
-        from ..study.wrong_start import wrong_start
+        from ..study.benchmarks.wrong_start import wrong_start
 
         check_folder(self.output)
         data = data_folder()

@@ -19,7 +19,7 @@ import optimistix as optx
 import spheretrace_jax as st
 from spheretrace_jax.fit.fit import DEFAULT_FREE
 from spheretrace_jax.fit.model.products import PRODUCTS, determined_products
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 # products with a smaller standard deviation count as determined

@@ -27,7 +27,7 @@ from spheretrace_jax.study.benchmarks.mitsuba import (
     matt,
     mitsuba_scene,
 )
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 SCENE = Path(__file__).parent.parent.parent / "data" / "nine_spheres.txt"
 SIZE = 256

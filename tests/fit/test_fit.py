@@ -11,7 +11,7 @@ import spheretrace_jax as st
 from spheretrace_jax.fit.model.parameters import Parameters
 from spheretrace_jax.fit.model.products import determined_products
 from spheretrace_jax.fit.model.target import make_target
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 LIGHT = (100.0, 500, 800)
 PLAIN = dict(bounces=0, samples=1)  # of most fits here, so that they compile quickly

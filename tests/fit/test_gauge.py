@@ -10,7 +10,7 @@ import spheretrace_jax as st
 from spheretrace_jax.fit.fit import DEFAULT_FREE
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.solver.gauge import fix_gauge
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 PLAIN = dict(bounces=0, samples=1)
 SIZE = dict(width=64, height=64)

@@ -9,7 +9,7 @@ from helpers.scenes import nine_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.model.light_position import LightPosition, light_position_at
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 MIDDLE, SIZE = np.array([3.0, -5, 7]), 40.0
 ALONG = np.array([1.0, -2, 2]) / 3

@@ -14,7 +14,7 @@ from spheretrace_jax.fit.model.products import determined_products
 from spheretrace_jax.fit.model.target import Target, make_target
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.problem.problem import Problem, normal_at
-from spheretrace_jax.study.wrong_start import wrong_start
+from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 PLAIN = dict(bounces=0, samples=1)
 SIZE = dict(width=64, height=64)  # of all fits, so that few are compiled

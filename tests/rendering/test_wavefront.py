@@ -1,16 +1,23 @@
 """The wavefront of secondary rays: compacted in chunks, it equals all rays at once."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.contexts import context_of
 from helpers.scenes import SCENES
 
 import spheretrace_jax as st
+from spheretrace_jax.base.vec import parts
 from spheretrace_jax.rendering import wavefront
 from spheretrace_jax.rendering.render import draw
+from spheretrace_jax.rendering.samples import sample_positions, sample_rays
+from spheretrace_jax.rendering.wavefront import ray_radiance
 from spheretrace_jax.scene.settings import render_settings
+from spheretrace_jax.tracing.path import first_path, next_path, shade_path, trace_path
 from spheretrace_jax.tracing.queries import closest_hit
 
 SETTINGS = {"width": 40, "height": 26, "bounces": 3}
@@ -56,3 +63,24 @@ def test_only_surviving_paths_are_traced(monkeypatch):
     np.asarray(eqx.filter_jit(draw.__wrapped__)(scene, render_settings(scene, **SETTINGS)))
     jax.effects_barrier()
     assert 0 < sum(traced) < 40 * 26
+
+
+@pytest.mark.parametrize("name", ["mirrors", "glass", "inside"])
+def test_paths_at_once_equal_the_wavefront(name):
+    # pixels with edges follow their few paths bounce by bounce: `path.trace_path`
+    context = context_of(SCENES[name], size=(40, 26), bounces=3)
+    (left,), (top,) = sample_positions(context.scene, context.settings)
+    pixels = jnp.arange(40 * 26, dtype=jnp.int32)
+    ray = sample_rays(context.scene, context.settings, pixels, left, top)
+    expected = ray_radiance(context, ray)[0]
+    first = first_path(ray, closest_hit(context, ray), jnp.full(pixels.shape, True))
+
+    def add_way(color, choice):
+        later = context.with_settings(bounces=2)
+        return color + trace_path(later, next_path(context, first, choice))
+
+    ways = (0, 1) if context.needs.branching else (0,)
+    found = functools.reduce(add_way, map(jnp.int32, ways), shade_path(context, first))
+    for a, b in zip(parts(found), parts(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13)
+    assert float(jnp.abs(parts(found)[0] - parts(shade_path(context, first))[0]).max()) > 1e-2

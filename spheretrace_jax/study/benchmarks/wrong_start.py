@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..scene.scene import Scene
+from ...scene.scene import Scene
 
 
 def wrong_start(truth: Scene) -> Scene:
