@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..base.types import Ids, Mask, PixelArray, Scalar
-from ..base.vec import Vec, parts
+from ..base.vec import Vec, components
 from ..scene.camera import Ray
 from ..xla.barriers import barrier
 from ..xla.compaction import while_active
@@ -57,8 +57,8 @@ class UniformGrid(eqx.Module):
         flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
         rays, state, mask, ray = jax.tree.map(flat, (rays, state, mask, ray))
         low = jax.tree.map(flat, self.low)
-        start = [x / self.side for x in parts(ray.origin - low)]
-        slope = [x / self.side for x in parts(ray.direction)]
+        start = [x / self.side for x in components(ray.origin - low)]
+        slope = [x / self.side for x in components(ray.direction)]
         visit_global = lambda k, s: visitor(rays, *bins.sphere(k), s)
         state = lax.fori_loop(0, bins.start[1], visit_global, state)
 
@@ -135,17 +135,17 @@ def grid_bounds(center: Vec, radius: PixelArray, group: Cluster) -> tuple[Vec, S
     """
     most = max_grid_cells(radius.shape[0])
     # cells are cubes; there are half as many as allowed, also in a flat cluster
-    largest = functools.reduce(jnp.maximum, parts(group.half_width))
-    ratios = [jnp.maximum(half / largest, 1 / most) for half in parts(group.half_width)]
+    largest = functools.reduce(jnp.maximum, components(group.half_width))
+    ratios = [jnp.maximum(half / largest, 1 / most) for half in components(group.half_width)]
     side = 2 * largest * jnp.cbrt(math.prod(ratios) * (2 / most))
     # no more cells along an axis than fit into BITS
     side = jnp.maximum(side, largest * 2.0 ** (1 - BITS))
     corner, extent = group.middle - group.half_width, radius + group.slack
-    position = parts(center - corner)
+    position = components(center - corner)
     bounds = BinBounds(
         tuple((x - extent) / side for x in position),
         tuple((x + extent) / side for x in position),
-        jnp.stack(parts(group.half_width * 2)) / side,
+        jnp.stack(components(group.half_width * 2)) / side,
         jnp.asarray(2**0.5, side.dtype),
     )
     return corner, side, bounds

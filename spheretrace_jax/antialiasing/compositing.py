@@ -130,7 +130,7 @@ def _add_layer(
     region = barrier(silhouette_region(context, ray.value, layer.hit, distance))
     given_next = jnp.zeros_like(left)
     visible, behind = clip_pixel(region.edge, *fronts), ~region.edge
-    area = jnp.where(contain_pixel(fronts), region.part, visible.area) + given
+    area = jnp.where(contain_pixel(fronts), region.area, visible.area) + given
     if layer.behind is not None:
         surface = mean_surface(context, ray, layer.hit, distance)
         cut = barrier(surface_crossing(context, ray, surface, layer.behind))
@@ -143,7 +143,7 @@ def _add_layer(
         behind = where(inside > outside, ~cut.ahead, behind)
         given_next = smaller(inside, outside)
     area = only(jnp.where(last, left, clamp(area, 0, left)))
-    mean = mean_surface_at(context, ray.value, distance.q.value, layer.hit, distance.reach)
+    mean = mean_surface_at(context, ray.value, distance.q.value, layer.hit, distance.extent)
     pixel = VisibleLayer(ray, layer.hit, distance, mean, visible)
     radiance = layer_radiance(context, pixel, shown, follow)
     color = color + where(shown, radiance * area, zeros(area.shape, area.dtype))
@@ -201,13 +201,15 @@ def _light_terms(
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
     if shadows:
-        part = part * lit_coverage(context, layer.ray, distance.reach, layer.polygon, hit, light)
+        part = part * lit_coverage(context, layer.ray, distance.extent, layer.polygon, hit, light)
     diffuse = _mean_lambert(context, layer, cosine, to_light) * part
     if not context.needs.highlights:
         return diffuse, jnp.zeros_like(diffuse)
 
     def front_area() -> PixelArray:
-        f = layer.ray.beside(distance.q).map(lambda both: _cosine_at(context, *both, layer, light))
+        f = layer.ray.paired_with(distance.q).map(
+            lambda both: _cosine_at(context, *both, layer, light)
+        )
         return half_plane_area(f.value, f.dx, f.dy)
 
     abrupt = lit & ends_abruptly(highlight, to_light, ray.direction)
@@ -222,7 +224,7 @@ def _cosine_at(
     context: TraceContext, ray: Ray, q: Vec, layer: VisibleLayer, light: Vec
 ) -> PixelArray:
     """Returns N.L of the mean surface that another ray of the pixel sees."""
-    surface = mean_surface_at(context, ray, q, layer.hit, layer.distance.reach)
+    surface = mean_surface_at(context, ray, q, layer.hit, layer.distance.extent)
     return lambert(surface, toward_light(surface, light))
 
 
@@ -235,7 +237,7 @@ def _mean_lambert(
     """
     ray, hit, distance = layer.ray.value, layer.hit, layer.distance
     mean, mixed = context.sphere(hit.id).mean_lambert(
-        ray, distance.q.value, distance.reach, cosine, to_light
+        ray, distance.q.value, distance.extent, cosine, to_light
     )
     mixed = mixed & ~context.tables.is_plane(hit.id)
     return jnp.where(mixed, mean, larger(cosine, 0))

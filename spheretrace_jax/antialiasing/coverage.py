@@ -26,7 +26,7 @@ _LEAST_PRECISION = 256
 class Region(eqx.Module):
     """The covered region of a pixel's box, and its half-plane for clipping where edges cross."""
 
-    part: PixelArray  #: the area, 0..1
+    area: PixelArray  #: of the part of the pixel, 0..1
     edge: HalfPlane  #: of the same area, on the same side
 
 

@@ -99,6 +99,6 @@ class _Looks(eqx.Module):
             return secondary_path(context, *both, layer.hit, layer.shown, choice)
 
         distance = silhouette_distance(context, self.ray, layer.hit)
-        both = self.ray.beside(mean_surface(context, self.ray, layer.hit, distance))
+        both = self.ray.paired_with(mean_surface(context, self.ray, layer.hit, distance))
         path = secondary(both.value)
         return both.map(lambda both: secondary(both).ray), path.hit, path.weight * layer.area

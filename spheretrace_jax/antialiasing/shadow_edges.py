@@ -44,7 +44,7 @@ class _Shaded(eqx.Module):
     """The surfaces of pixels that a light may reach in part."""
 
     ray: Differential[Ray]
-    reach: PixelArray  #: as in `SilhouetteDistance`
+    extent: PixelArray  #: as in `SilhouetteDistance`
     middle: tuple[PixelArray, PixelArray]  #: of what is visible, pixels right and down
     hit: Hit
 
@@ -52,7 +52,7 @@ class _Shaded(eqx.Module):
 def lit_coverage(
     context: TraceContext,
     ray: Differential[Ray],
-    reach: PixelArray,
+    extent: PixelArray,
     visible: Polygon,
     hit: Hit,
     light: Vec,
@@ -61,12 +61,12 @@ def lit_coverage(
 
     Says the same as `queries.light_visible` where no edge runs through the pixel.
 
-    **Arguments:** `hit`: the objects that are lit. `reach`: as in `SilhouetteDistance`. `visible`:
+    **Arguments:** `hit`: the objects that are lit. `extent`: as in `SilhouetteDistance`. `visible`:
     the part of the pixel in which the object shows.
     """
-    shaded = _Shaded(ray, reach, (visible.x, visible.y), hit)
+    shaded = _Shaded(ray, extent, (visible.x, visible.y), hit)
     occluded, edges = _find_occluders(context, shaded, light)
-    count, number = reach.size, jnp.concatenate(edges)
+    count, number = extent.size, jnp.concatenate(edges)
 
     # what few groups have is not worth its place in memory
     @jax.checkpoint
@@ -79,14 +79,14 @@ def lit_coverage(
         return ~_shadow_half_plane(context.at_pixels(at), shaded_, number[places], light_)
 
     def cut() -> PixelArray:
-        anywhere = whole_pixel(jnp.ones_like(number, reach.dtype))
+        anywhere = whole_pixel(jnp.ones_like(number, extent.dtype))
         bright = replace_where(anywhere, number >= 0, outside_shadow, -(-count // GROUPS))
         bright = [jax.tree.map(lambda x, k=k: x[k * count :][:count], bright) for k in range(EDGES)]
-        some = (edges[0] >= 0) & (visible.area > jnp.finfo(reach.dtype).eps)
+        some = (edges[0] >= 0) & (visible.area > jnp.finfo(extent.dtype).eps)
         lit = clipped_area(*visible.sides, *bright)
         return jnp.where(some, lit / jnp.where(some, visible.area, 1), 1)
 
-    part = lax.cond(jnp.any(edges[0] >= 0), cut, lambda: jnp.ones_like(reach))
+    part = lax.cond(jnp.any(edges[0] >= 0), cut, lambda: jnp.ones_like(extent))
     return jnp.where(occluded, 0, part)
 
 
@@ -163,7 +163,7 @@ def _find_zero(
     x, y = shaded.middle
     sphere = context.sphere(shaded.hit.id)
     across = lambda ray: sphere.perpendicular(ray)[1]
-    least = _LEAST_CHORD * sphere.mean_chord(across(shaded.ray.value), shaded.reach)[0]
+    least = _LEAST_CHORD * sphere.mean_chord(across(shaded.ray.value), shaded.extent)[0]
     least = jnp.where(least > 0, least, 1)
     q = shaded.ray.at(x, y).map(lambda ray: across(unit_ray(ray)))
     square = sphere.radius * sphere.radius - dot(q.value, q.value)

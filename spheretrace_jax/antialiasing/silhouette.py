@@ -20,7 +20,7 @@ class SilhouetteDistance(eqx.Module):
 
     q: Differential[Vec]  #: from the ray to the sphere's centre, at a right angle to the ray
     slope: Differential[PixelArray] | None  #: D.N, positive toward the plane; None without planes
-    reach: PixelArray  #: how far |q|, for planes D.N, varies from the pixel's centre to its border
+    extent: PixelArray  #: how far |q|, for planes D.N, varies from the pixel's centre to its border
 
 
 class SurfaceCrossing(eqx.Module):
@@ -36,12 +36,12 @@ def silhouette_distance(
     """Returns the distance from rays to the silhouettes of the objects at their hits."""
     sphere = context.sphere(hit.id)
     q = ray.map(lambda ray: sphere.perpendicular(ray)[1])
-    reach = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
+    extent = safe_sqrt((dot(q.dx, q.dx) + dot(q.dy, q.dy)) / 8)
     if not context.needs.planes:
-        return SilhouetteDistance(q, None, reach)
+        return SilhouetteDistance(q, None, extent)
     slope, level = context.plane(hit.id).horizon(ray)
     is_plane = context.tables.is_plane(hit.id)
-    return SilhouetteDistance(q, slope, jnp.where(is_plane, level, reach))
+    return SilhouetteDistance(q, slope, jnp.where(is_plane, level, extent))
 
 
 def silhouette_region(
@@ -62,8 +62,8 @@ def mean_surface(
     context: TraceContext, ray: Differential[Ray], hit: Hit, distance: SilhouetteDistance
 ) -> Differential[Surface]:
     """Returns the mean surface of the part of a pixel inside an object's silhouette."""
-    return ray.beside(distance.q).map(
-        lambda both: mean_surface_at(context, both[0], both[1], hit, distance.reach)
+    return ray.paired_with(distance.q).map(
+        lambda both: mean_surface_at(context, both[0], both[1], hit, distance.extent)
     )
 
 
@@ -78,6 +78,6 @@ def surface_crossing(
         ray, (near, far) = three
         return dot(far.point - near.point, ray.direction)
 
-    f = half_plane_of(ray.beside(surface.beside(other)).map(depth_between))
-    ahead = where(behind.id >= 0, f, whole_pixel(distance.reach))
+    f = half_plane_of(ray.paired_with(surface.paired_with(other)).map(depth_between))
+    ahead = where(behind.id >= 0, f, whole_pixel(distance.extent))
     return SurfaceCrossing(silhouette_region(context, ray.value, behind, distance), ahead)

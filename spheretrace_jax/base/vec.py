@@ -61,7 +61,7 @@ def grey(value: PixelArray) -> Vec:
     return Vec(value, value, value)
 
 
-def parts(a: Vec) -> tuple[PixelArray, PixelArray, PixelArray]:
+def components(a: Vec) -> tuple[PixelArray, PixelArray, PixelArray]:
     """Returns the components x, y, z as a tuple."""
     return a.x, a.y, a.z
 

@@ -9,7 +9,7 @@ from ..scene.scene import Scene
 from ..scene.settings import RenderSettings, render_settings
 from ..tracing.context import build_context
 from ..xla.jit import compiled
-from ..xla.sharding import everywhere, on_devices
+from ..xla.sharding import on_devices, replicate
 from .pixel_filter import filter_pixels
 from .samples import render_samples
 
@@ -59,7 +59,7 @@ def render(
         scene, width, height, highlight=highlight, bounces=bounces, samples=samples, needs=needs,
         sharding=sharding,
     )  # fmt: skip
-    return draw(everywhere(scene, checked.sharding), checked)
+    return draw(replicate(scene, checked.sharding), checked)
 
 
 @compiled
@@ -71,9 +71,9 @@ def draw(scene: Scene, settings: RenderSettings) -> Picture:
     return on_devices(of_device, settings.sharding, (scene, settings.of_device))[: settings.height]
 
 
-def draw_everywhere(scene: Scene, settings: RenderSettings) -> Picture:
+def draw_replicated(scene: Scene, settings: RenderSettings) -> Picture:
     """Renders a picture that lies whole on each device."""
-    return everywhere(draw(scene, settings), settings.sharding)
+    return replicate(draw(scene, settings), settings.sharding)
 
 
 def _draw_rows(scene: Scene, settings: RenderSettings) -> Picture:

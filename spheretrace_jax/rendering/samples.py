@@ -139,5 +139,5 @@ def _render_sample(context: TraceContext, left: Array, top: Array) -> tuple[Vec 
     color = jax.tree.map(settings.rows.with_neighbours, color)
     mask = jnp.pad(edge, ((1, 1), (0, 0))).reshape(-1)
     flat = jax.tree.map(jnp.ravel, color)
-    flat = add_where(flat, mask, composite, min(EDGE_PIXELS, edge.size), again=True)
+    flat = add_where(flat, mask, composite, min(EDGE_PIXELS, edge.size), rematerialize=True)
     return jax.tree.map(lambda x: x.reshape(-1, width), flat), edge

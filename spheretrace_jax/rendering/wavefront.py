@@ -45,9 +45,8 @@ def ray_radiance(context: TraceContext, ray: Ray, cone: RayCone | None = None) -
     at the first two hits.
     """
     hit = closest_hit(context, ray)
-    everywhere = jnp.full(ray.direction.x.shape, True)
-    first = first_path(ray, hit, everywhere, cone)
-    edge = ~everywhere
+    first = first_path(ray, hit, jnp.full(hit.id.shape, True), cone)
+    edge = ~first.alive
     if cone is not None:
         edge = edge_mask(context, ray, cone, hit)
     color = shade_path(context, first)

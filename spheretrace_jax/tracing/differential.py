@@ -37,7 +37,7 @@ class Differential(eqx.Module, Generic[T]):
         # value and derivatives share most of their work, which XLA would repeat for each user
         return barrier(Differential(value, dx, dy))
 
-    def beside(self, other: "Differential[S]") -> "Differential[tuple[T, S]]":
+    def paired_with(self, other: "Differential[S]") -> "Differential[tuple[T, S]]":
         """Pairs two quantities into one."""
         return Differential((self.value, other.value), (self.dx, other.dx), (self.dy, other.dy))
 

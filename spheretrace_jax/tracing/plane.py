@@ -54,22 +54,22 @@ class Plane(eqx.Module):
         """Returns the distance from points to the plane, positive on the side of -N."""
         return dot(self.point - origin, self.normal)
 
-    def surface(self, ray: Ray, reach: PixelArray | None, is_plane: Mask) -> Surface:
+    def surface(self, ray: Ray, extent: PixelArray | None, is_plane: Mask) -> Surface:
         """Returns point and normal of a hit.
 
-        **Arguments:** `reach`: how far D.N varies from the pixel's centre to its border, for the
+        **Arguments:** `extent`: how far D.N varies from the pixel's centre to its border, for the
         mean surface of the part of a pixel before the horizon; None for the hit of the ray itself.
         `is_plane`: true where the ray meets a plane; elsewhere numbers are finite and mean nothing.
         """
         slope, away = self.slope(ray), self.offset(ray.origin)
-        if reach is not None:  # the mean of the slopes that meet the plane
+        if extent is not None:  # the mean of the slopes that meet the plane
             side = jnp.where(away < 0, -1, 1).astype(slope.dtype)
-            low = larger(slope * side - reach, 0)
-            slope = side * (low + larger(slope * side + reach, _LEAST_SLOPE * reach)) / 2
+            low = larger(slope * side - extent, 0)
+            slope = side * (low + larger(slope * side + extent, _LEAST_SLOPE * extent)) / 2
         crosses = (slope != 0) & is_plane
         t = away / jnp.where(crosses, slope, 1)
         point = ray.origin + ray.direction * jnp.where(crosses, t, 0)
-        if reach is not None:
+        if extent is not None:
             point = point + self.normal * self.offset(point)
         return Surface(
             point, self.normal * jnp.where(slope > 0, -1, 1).astype(slope.dtype), jnp.abs(slope)
@@ -101,9 +101,9 @@ class Plane(eqx.Module):
         f = pixel.point.map(lambda p: dot(p - self.point, self.normal))
         inner = jnp.where(above > 0, -f.value, f.value)
         across, down = pixel.spans
-        reach = jnp.abs(f.dx) * across + jnp.abs(f.dy) * down
+        extent = jnp.abs(f.dx) * across + jnp.abs(f.dy) * down
         other = ~is_own & (above != 0)
-        all_dark, some_dark = (inner >= reach) & other, (inner > -reach) & other
+        all_dark, some_dark = (inner >= extent) & other, (inner > -extent) & other
         return ShadowCoverage(all_dark & (inner > 0), some_dark, inner > 0)
 
     def shadow_function(self, point: Differential[Vec], light: Vec) -> Differential[PixelArray]:
@@ -149,11 +149,11 @@ class Plane(eqx.Module):
         slope = ray.map(lambda ray: self.slope(ray))
         away = self.offset(ray.value.origin)
         side = jnp.where(away < 0, -1, 1).astype(away.dtype)
-        reach = (jnp.abs(slope.dx) + jnp.abs(slope.dy)) / 2
+        extent = (jnp.abs(slope.dx) + jnp.abs(slope.dy)) / 2
         toward = side * slope.value
-        t = jnp.abs(away) / jnp.maximum(toward, jnp.where(reach > 0, _LEAST_SLOPE * reach, 1))
-        some = (toward > -reach) & (away != 0) & ~is_source
-        return PixelCoverage(t, jnp.full(is_source.shape, False), some, toward >= reach)
+        t = jnp.abs(away) / jnp.maximum(toward, jnp.where(extent > 0, _LEAST_SLOPE * extent, 1))
+        some = (toward > -extent) & (away != 0) & ~is_source
+        return PixelCoverage(t, jnp.full(is_source.shape, False), some, toward >= extent)
 
     def horizon(self, ray: Differential[Ray]) -> tuple[Differential[PixelArray], PixelArray]:
         """Returns D.N, positive toward the plane, and how far D.N varies to the pixel's border."""

@@ -13,7 +13,7 @@ from ..acceleration.accelerator import Accelerator
 from ..acceleration.light_buffer import LightBuffer
 from ..base.safe_math import to_order_one
 from ..base.types import Ids, Index, Mask, PixelArray, Scalar
-from ..base.vec import Vec, parts
+from ..base.vec import Vec, components
 from ..scene.camera import Ray
 from ..xla.gather import gather_rows
 from ..xla.rematerialization import save_residuals
@@ -215,4 +215,4 @@ def shadow_scale(context: TraceContext, light: Vec) -> Scalar:
     not one, as small spheres and near lights beside a planet are more than points so far away.
     """
     spheres = context.tables.spheres
-    return 1024 * to_order_one(spheres.radius, *parts(spheres.center), *parts(light))
+    return 1024 * to_order_one(spheres.radius, *components(spheres.center), *components(light))

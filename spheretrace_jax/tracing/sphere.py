@@ -100,40 +100,40 @@ class Sphere(eqx.Module):
         """Returns h = sqrt(R^2 - q.q), half the chord of a ray; 0 where the ray misses."""
         return safe_sqrt(self.radius * self.radius - dot(q, q))
 
-    def mean_chord(self, q: Vec, reach: PixelArray) -> tuple[PixelArray, Vec]:
+    def mean_chord(self, q: Vec, extent: PixelArray) -> tuple[PixelArray, Vec]:
         """Returns the means of the half chord and of q over the covered part of a pixel.
 
-        **Arguments:** `reach`: how far |q| varies from the pixel's centre to its border.
+        **Arguments:** `extent`: how far |q| varies from the pixel's centre to its border.
         """
         square = dot(q, q)
-        outer = safe_sqrt(square + reach * reach)
+        outer = safe_sqrt(square + extent * extent)
         shrink = smaller(self.radius / jnp.where(outer > 0, outer, 1), 1)
-        half_chord = mean_root(*self.chord_range(q, reach))
+        half_chord = mean_root(*self.chord_range(q, extent))
         # the mean of unit normals is no longer than 1: highlights of a longer one explode
         length = safe_sqrt(square * shrink * shrink + half_chord * half_chord)
         short = smaller(self.radius / jnp.where(length > 0, length, 1), 1)
         return half_chord * short, q * (shrink * short)
 
-    def chord_range(self, q: Vec, reach: PixelArray) -> tuple[PixelArray, PixelArray]:
+    def chord_range(self, q: Vec, extent: PixelArray) -> tuple[PixelArray, PixelArray]:
         """Returns the least and the largest half chord over |q| +- reach inside the sphere."""
         length, square = norm(q), self.radius * self.radius
-        near, far = larger(length - reach, 0), length + reach
-        least = _LEAST_RIM * self.radius * smaller(reach, self.radius)
+        near, far = larger(length - extent, 0), length + extent
+        least = _LEAST_RIM * self.radius * smaller(extent, self.radius)
         return safe_sqrt(square - far * far), safe_sqrt(larger(square - near * near, least))
 
     def mean_lambert(
-        self, ray: Ray, q: Vec, reach: PixelArray, cosine: PixelArray, to_light: Vec
+        self, ray: Ray, q: Vec, extent: PixelArray, cosine: PixelArray, to_light: Vec
     ) -> tuple[PixelArray, Mask]:
         """Returns the mean of max(N.L, 0) over a pixel, and where N.L = 0 runs through its rim.
 
         Near the rim N.L depends on half the chord above all, and linearly: N = (-q - h D)/R.
 
-        **Arguments:** `q`, `reach`: as for `mean_chord`. `cosine`: the mean of N.L. `to_light`: L.
+        **Arguments:** `q`, `extent`: as for `mean_chord`. `cosine`: the mean of N.L. `to_light`: L.
 
         **Returns:** the mean, which holds only where the mask does.
         """
         radius = jnp.where(self.radius > 0, self.radius, 1)
-        low, high = Sphere(self.center, radius).chord_range(q, reach)
+        low, high = Sphere(self.center, radius).chord_range(q, extent)
         slope = -dot(ray.direction, to_light) / radius
         h = mean_root(low, high) - cosine / jnp.where(slope == 0, 1, slope)
         # the integrand vanishes at N.L = 0, so that moving this end changes nothing
@@ -182,21 +182,21 @@ class Sphere(eqx.Module):
         """
         foot = pixel.point.map(lambda p: from_light(p, pixel.light, self.center))
         along, q = foot.value
-        reach, inner = pixel.extent(foot.dx[1], foot.dy[1]), self.radius - norm(q)
+        extent, inner = pixel.extent(foot.dx[1], foot.dy[1]), self.radius - norm(q)
         away, to_center = pixel.light - self.center, self.center - pixel.point.value
         square = self.radius * self.radius
         light_inside = dot(away, away) < square
         between = (along > 0) & (along < pixel.light_distance)
         if not may_be_inside:
             between = (between | light_inside) & ~is_own
-            all_dark = (inner >= reach) & between
-            return ShadowCoverage(all_dark, (inner > -reach) & between, inner > 0)
+            all_dark = (inner >= extent) & between
+            return ShadowCoverage(all_dark, (inner > -extent) & between, inner > 0)
         # a mean point may lie a little inside a sphere that cuts the surface in this pixel
         deep = jnp.maximum(self.radius - pixel.footprint, 0)
         inside = jnp.where(is_own, own_inside, dot(to_center, to_center) < deep * deep)
         within = inside | light_inside
-        all_dark = jnp.where(within, inside != light_inside, (inner >= reach) & between & ~is_own)
-        some_dark = jnp.where(within, all_dark, (inner > -reach) & between & ~is_own)
+        all_dark = jnp.where(within, inside != light_inside, (inner >= extent) & between & ~is_own)
+        some_dark = jnp.where(within, all_dark, (inner > -extent) & between & ~is_own)
         return ShadowCoverage(all_dark, some_dark, inner > 0)
 
     # -- edges
@@ -246,11 +246,11 @@ class Sphere(eqx.Module):
         """
         foot = ray.map(lambda ray: self.perpendicular(ray))
         along, q = foot.value
-        reach, length = (norm(foot.dx[1]) + norm(foot.dy[1])) / 2, norm(q)
+        extent, length = (norm(foot.dx[1]) + norm(foot.dy[1])) / 2, norm(q)
         square = self.radius * self.radius - dot(q, q)
         half_chord = safe_sqrt(square)
         t, inside = along - half_chord, jnp.full(is_source.shape, False)
-        some, all_ = length < self.radius + reach, length + reach <= self.radius
+        some, all_ = length < self.radius + extent, length + extent <= self.radius
         if not may_be_inside:
             return PixelCoverage(t, inside, some & ~is_source, all_)
         inside = (t <= 0) & (square > 0)

@@ -79,15 +79,15 @@ def add_where(
     mask: Bool[Array, " n"],
     work: Callable[[Int[Array, " size"], Bool[Array, " size"]], T],
     size: int,
-    again: bool = False,
+    rematerialize: bool = False,
 ) -> T:
     """Adds the values of `work` where `mask` is set, in fixed-size chunks (stream compaction).
 
     The run time grows with the number of set elements, not with n.
 
     **Arguments:** `values`: a pytree of arrays of shape `(n, ...)`. `work`: from the indices of a
-    chunk and the mask of its valid indices to their values. `size`: indices per chunk. `again`:
-    whether the reverse pass recomputes `work` instead of storing its intermediate values.
+    chunk and the mask of its valid indices to their values. `size`: indices per chunk.
+    `rematerialize`: whether the reverse pass recomputes `work` instead of storing its intermediate values.
     """
     n = mask.size
     total, select = nth_set(mask)
@@ -106,7 +106,7 @@ def add_where(
             return lax.scatter_add(v, indices, x, axes, unique_indices=True, mode="drop")
 
         # rematerialised, all that the reverse pass stores is one array with room for every chunk
-        new = remat(work_at)(indices) if again else work_at(indices)
+        new = remat(work_at)(indices) if rematerialize else work_at(indices)
         return jax.tree.map(scatter, values, new)
 
     def add_chunks(values: T, firsts: Int[Array, "..."]) -> tuple[T, None]:

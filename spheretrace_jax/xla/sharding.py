@@ -121,20 +121,22 @@ def on_devices(
     )(replicated, sharded)
 
 
-def padded(rows: Shaped[Array, "height ..."], sharding: NamedSharding) -> Shaped[Array, "all ..."]:
+def pad_rows(
+    rows: Shaped[Array, "height ..."], sharding: NamedSharding
+) -> Shaped[Array, "all ..."]:
     """Pads by rows of 0 to a multiple of the number of devices."""
     missing = -len(rows) % _devices(sharding)
     return jnp.pad(rows, ((0, missing), *[(0, 0)] * (rows.ndim - 1)))
 
 
-def everywhere(values: T, sharding: NamedSharding | None) -> T:
+def replicate(values: T, sharding: NamedSharding | None) -> T:
     """Replicates values on all devices of the mesh; returns them as they are without sharding."""
     if sharding is None:
         return values
     return jax.device_put(values, NamedSharding(sharding.mesh, PartitionSpec()))
 
 
-def gathered(values: T) -> T:
+def gather_on_host(values: T) -> T:
     """Gathers arrays divided among several processes on the host; returns other values as is."""
 
     def gather(x):

@@ -40,7 +40,7 @@ def seen(scene: st.Scene) -> tuple:
     covering = jnp.where(area > 0.5, id_, -1)
     distance, light = silhouette_distance(context, ray, hit), vec(scene.lights.position[0])
     everything = clip_pixel(whole_pixel(column))
-    by_area = lit_coverage(context, ray, distance.reach, everything, hit, light)
+    by_area = lit_coverage(context, ray, distance.extent, everything, hit, light)
     by_ray = light_visible(context, surface_at(context, ray.value, hit).point, hit, light)
     return (covering, hit.id), (by_area, by_ray), ~edge, hit.id >= 0
 

@@ -10,7 +10,7 @@ import numpy as np
 import spheretrace_jax as st
 from extremes.case import Case, case
 from extremes.exact import EXACT, line_distance, ray, sphere_roots, to_exact
-from spheretrace_jax.base.vec import parts, vec
+from spheretrace_jax.base.vec import components, vec
 from spheretrace_jax.scene.camera import pixel_rays
 from spheretrace_jax.tracing.sphere import ray_sphere
 
@@ -153,7 +153,7 @@ def pixels() -> str:
     for exponent in range(-30, 31, 3):
         lengths = 9 * 10.0**exponent, 3 * 10.0**exponent
         camera = st.Camera(*map(jnp.float32, (0.3, 0.4, 500, *lengths)))
-        found = np.stack(parts(directions(camera)), axis=-1)
+        found = np.stack(components(directions(camera)), axis=-1)
         exact_camera = jax.tree.map(lambda x: to_exact(np.asarray(x)), camera)
         for row in range(5):
             for column in range(5):

@@ -9,7 +9,7 @@ from helpers.scenes import nine_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.fit import DEFAULT_FREE
-from spheretrace_jax.fit.model.parameters import extent
+from spheretrace_jax.fit.model.parameters import bounding_sphere
 from spheretrace_jax.fit.model.products import determined_products
 from spheretrace_jax.fit.model.target import Target, make_target
 from spheretrace_jax.fit.problem.make_problem import make_problem
@@ -83,7 +83,7 @@ def normal_of(target, **counts):
 
 def light_error(found: st.Scene) -> float:
     """Returns the light's error, as a part of its distance from the middle of the spheres."""
-    middle, _ = extent(TRUTH)
+    middle, _ = bounding_sphere(TRUTH)
     off = found.lights.position - TRUTH.lights.position
     return float(jnp.linalg.norm(off) / jnp.linalg.norm(TRUTH.lights.position - middle[None]))
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from helpers.scenes import three_spheres
 
-from spheretrace_jax.base.vec import Vec, parts
+from spheretrace_jax.base.vec import Vec, components
 from spheretrace_jax.rendering.pixel_filter import NEIGHBOURS, filter_pixels, filter_weights
 from spheretrace_jax.scene.settings import render_settings
 
@@ -22,7 +22,7 @@ def test_weights_are_the_filter():
     across = np.arange(WIDTH) + np.reshape(NEIGHBOURS[0], (5, 1, 1))
     down = np.arange(HEIGHT)[:, None] + np.reshape(NEIGHBOURS[1], (5, 1, 1))
     at = np.clip(down, 0, HEIGHT - 1), np.clip(across, 0, WIDTH - 1)
-    for channel, expected in zip(parts(color), np.moveaxis(filtered, -1, 0), strict=True):
+    for channel, expected in zip(components(color), np.moveaxis(filtered, -1, 0), strict=True):
         found = np.sum(np.asarray(weights) * np.asarray(channel)[at], axis=0)
         np.testing.assert_allclose(found, expected, rtol=1e-13)
     np.testing.assert_allclose(np.sum(weights, axis=0), 1, rtol=1e-14)

@@ -11,7 +11,7 @@ from helpers.contexts import context_of
 from helpers.scenes import SCENES
 
 import spheretrace_jax as st
-from spheretrace_jax.base.vec import parts
+from spheretrace_jax.base.vec import components
 from spheretrace_jax.rendering import wavefront
 from spheretrace_jax.rendering.render import draw
 from spheretrace_jax.rendering.samples import sample_positions, sample_rays
@@ -81,6 +81,9 @@ def test_paths_at_once_equal_the_wavefront(name):
 
     ways = (0, 1) if context.needs.branching else (0,)
     found = functools.reduce(add_way, map(jnp.int32, ways), shade_path(context, first))
-    for a, b in zip(parts(found), parts(expected), strict=True):
+    for a, b in zip(components(found), components(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13)
-    assert float(jnp.abs(parts(found)[0] - parts(shade_path(context, first))[0]).max()) > 1e-2
+    assert (
+        float(jnp.abs(components(found)[0] - components(shade_path(context, first))[0]).max())
+        > 1e-2
+    )

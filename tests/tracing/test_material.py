@@ -8,7 +8,7 @@ from helpers.contexts import context_of
 from helpers.scenes import SCENES
 
 import spheretrace_jax as st
-from spheretrace_jax.base.vec import parts
+from spheretrace_jax.base.vec import components
 from spheretrace_jax.scene.needs import Needs
 from spheretrace_jax.tracing.material import sum_lights
 
@@ -34,5 +34,5 @@ def test_loop_over_lights_is_their_sum(clear, tinted):
     shine = (POSITIONS[:, 1] - 10 * shadowed) @ lights.color
     for sums in (loop, unrolled):
         for found, expected in zip(sums, (diffuse, shine), strict=True):
-            found = [np.broadcast_to(x, 2)[0] for x in parts(found)]
+            found = [np.broadcast_to(x, 2)[0] for x in components(found)]
             np.testing.assert_allclose(found, expected, rtol=1e-14)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ...base.types import Picture
-from ...rendering.render import draw_everywhere
+from ...rendering.render import draw_replicated
 from ..model.target import SIGMA_OF_MEDIAN, Target
 from ..problem.labels import labels_of
 from ..problem.problem import Problem, normal_at
@@ -43,7 +43,7 @@ def find_outliers(problem: Problem, values: PyTree, cost: float) -> list[Bool[np
             outliers.append(np.zeros(target.image.shape, bool))
         else:
             scene, exposure = problem.scenes_at(values)[k]
-            outliers.append(_outlying(target, draw_everywhere(scene, settings), exposure))
+            outliers.append(_outlying(target, draw_replicated(scene, settings), exposure))
     return outliers
 
 

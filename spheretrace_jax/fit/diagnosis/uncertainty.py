@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ...xla.jit import compiled
-from ..model.parameters import extent
+from ..model.parameters import bounding_sphere
 from ..normal_equations.normal_equations import NormalEquations
 from ..problem.problem import Problem, normal_at
 from .null_columns import ROUNDING
@@ -155,7 +155,7 @@ class Uncertainty(eqx.Module):
 
         Both as seen from the middle of the spheres.
         """
-        middle, _ = extent(self.problem.parameters[picture].scene)
+        middle, _ = bounding_sphere(self.problem.parameters[picture].scene)
         scene, _ = self.problem.scenes_at(self.values)[picture]
         offset = np.asarray(scene.lights.position[light] - middle, np.float64)
         length = np.linalg.norm(offset)

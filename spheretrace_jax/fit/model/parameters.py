@@ -167,11 +167,11 @@ class Parameters(eqx.Module):
 
 @compiled
 def _light_positions(scene: Scene) -> LightPosition:
-    middle, size = extent(scene)
+    middle, size = bounding_sphere(scene)
     return jax.vmap(light_position_at, (0, None, None))(scene.lights.position, middle, size)
 
 
-def extent(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
+def bounding_sphere(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
     """Returns the middle of a scene's spheres, and the radius of all around the middle."""
     spheres = scene.spheres
     if not len(spheres):

@@ -25,7 +25,7 @@ from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...tracing.context import build_context
 from ...xla.compaction import prefix_sum
-from ...xla.sharding import on_devices, padded
+from ...xla.sharding import on_devices, pad_rows
 from ..model.target import Target
 from .bucketed_picture import (
     BucketedPicture,
@@ -100,7 +100,7 @@ def normal_equations(
 
     whole = scene, exposure, target.noise, settings.of_device
     # rows beyond the picture weigh nothing
-    image, weight = (padded(x, settings.sharding) for x in (target.image, target.weight))
+    image, weight = (pad_rows(x, settings.sharding) for x in (target.image, target.weight))
     rows = image, weight, buckets
     return on_devices(of_device, settings.sharding, whole, rows, joined=True)
 

@@ -15,7 +15,7 @@ from ...scene.scene import Scene
 from ...scene.settings import RenderSettings, render_settings
 from ...tracing.context import build_context
 from ...xla.jit import compiled
-from ...xla.sharding import everywhere, gathered, on_devices
+from ...xla.sharding import gather_on_host, on_devices, replicate
 from ..model.parameters import (
     CAMERA,
     GEOMETRY,
@@ -56,7 +56,7 @@ def make_problem(
     check_free(free)
     several = not isinstance(scene, Scene)
     scenes = list(scene) if several else [scene]
-    target, counts = gathered((target, counts))
+    target, counts = gather_on_host((target, counts))
     images = list(target) if several or isinstance(target, list | tuple) else [target]
     if len(scenes) != len(images) or not scenes:
         raise InputError(
@@ -84,7 +84,7 @@ def make_problem(
             chosen = dataclasses.replace(chosen, box=jnp.ones((), one.dtype))
         settings.append(chosen)
         targets.append(made)
-    scenes, targets = everywhere((scenes, targets), settings[0].sharding)
+    scenes, targets = replicate((scenes, targets), settings[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
     buckets = tuple(
         _buckets(one, free, s) if fixed and not s.antialias else None

@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ...base.types import Picture
-from ...rendering.render import draw_everywhere
+from ...rendering.render import draw_replicated
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
@@ -133,7 +133,7 @@ class Problem(eqx.Module):
     def pictures(self, values: PyTree) -> list[tuple[Picture, Float[Array, " 3"]]]:
         """Returns each scene's picture and its exposure."""
         pairs = zip(self.scenes_at(values), self.settings, strict=True)
-        return [(draw_everywhere(scene, s), exposure) for (scene, exposure), s in pairs]
+        return [(draw_replicated(scene, s), exposure) for (scene, exposure), s in pairs]
 
     def with_estimated_noise(self, values: PyTree) -> "Problem":
         """Returns the problem with each target's noise estimated from the residuals at `values`."""

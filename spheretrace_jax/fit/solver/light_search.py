@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from ...base.errors import InputError
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
-from ..model.parameters import GEOMETRY, extent
+from ..model.parameters import GEOMETRY, bounding_sphere
 from ..model.target import Target
 from ..problem.problem import Problem
 from .variable_projection import (
@@ -110,7 +110,7 @@ def starts_from_nothing(
         yield from starts_from_lights(scene, target, settings, free)
         return
     samples = sample_pixels(scene, target, settings, free)
-    middle, size = (np.asarray(x, np.float64) for x in extent(scene))
+    middle, size = (np.asarray(x, np.float64) for x in bounding_sphere(scene))
     grid = np.concatenate(
         [middle + size * distance * _directions(_DIRECTIONS) for distance in _DISTANCES]
     )

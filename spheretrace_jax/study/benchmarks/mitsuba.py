@@ -94,7 +94,7 @@ def mitsuba_scene(mi: Any, scene: Scene, size: int, shape: str = "sphere") -> An
             "centers": mi.TensorXf(center),
             "scales": mi.TensorXf(np.repeat(radius[:, None], 3, axis=1)),
             "quaternions": mi.TensorXf(np.tile([0.0, 0, 0, 1], (len(radius), 1))),
-            "extent": 1.0,
+            "bounding_sphere": 1.0,
         }
         return mi.load_dict(entries)
     for i in range(len(radius)):

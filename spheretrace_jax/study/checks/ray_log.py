@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ...base.vec import parts, vec
+from ...base.vec import components, vec
 from ...rendering.samples import sample_rays
 from ...scene.camera import Ray
 from ...scene.scene import Scene
@@ -87,7 +87,7 @@ def _record(context: TraceContext, path: Path) -> RayRecord:
         shine = shine + each
         grown = grown + each * exponent / jnp.where(shows, cosine, 1)
     masks = lambda of: jnp.stack(of, -1) if of else jnp.zeros((*ks.shape, 0), bool)
-    rows = lambda v: jnp.stack(jnp.broadcast_arrays(*parts(v), ks)[:3], -1)
+    rows = lambda v: jnp.stack(jnp.broadcast_arrays(*components(v), ks)[:3], -1)
     return RayRecord(
         alive=path.alive,
         id=jnp.where(path.alive, hit.id, -1).astype(jnp.int32),
