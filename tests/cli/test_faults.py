@@ -159,7 +159,7 @@ def test_a_fit_that_is_interrupted_between_two_starts_keeps_the_first(folder, mo
     costs = []
     monkeypatch.setattr(solve, "explains", lambda *_: False)
     monkeypatch.setattr(solve, "_projects", lambda *_: True)
-    monkeypatch.setattr(solve, "from_lights", lambda *_: interrupt())
+    monkeypatch.setattr(solve, "start_from_lights", lambda *_: interrupt())
     found = st.fit(scene, target, free=("kd", "ks"), callback=lambda p: costs.append(p.cost))
     assert found.interrupted and found.cost == min(costs) and not found.trust.ok
     assert found.trust.verdict.startswith("interrupted: the best scene so far after ")
