@@ -87,7 +87,7 @@ def add_where(
 
     **Arguments:** `values`: a pytree of arrays of shape `(n, ...)`. `work`: from the indices of a
     chunk and the mask of its valid indices to their values. `size`: indices per chunk.
-    `rematerialize`: whether the reverse pass recomputes `work` instead of storing its intermediate values.
+    `rematerialize`: whether the reverse pass recomputes `work` instead of storing its values.
     """
     n = mask.size
     total, select = nth_set(mask)

@@ -400,12 +400,12 @@ def test_a_cache_that_cannot_be_written_to_is_a_mistake(spheretrace, folder, mon
 
 COUNTING = """
 import collections, jax
-from spheretrace_jax import cli
+from spheretrace_jax.cli.main import main
 
 counts = collections.Counter()
 jax.monitoring.register_event_listener(lambda event, **_: counts.update([event]))
 try:
-    cli.main()
+    main()
 finally:
     print(*(counts["/jax/compilation_cache/" + name] for name in ("cache_hits", "cache_misses")))
 """
