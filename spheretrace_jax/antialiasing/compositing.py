@@ -23,7 +23,7 @@ from ..tracing.differential import Differential
 from ..tracing.hit import Hit, Surface
 from ..tracing.material import background_color, local_color, sum_lights
 from ..tracing.path import Path, first_path, next_path, trace_path
-from ..tracing.shading import HIGHLIGHTS, ends_abruptly, lambert, power, toward_light
+from ..tracing.shading import HIGHLIGHTS, lambert, power, toward_light
 from ..tracing.surface import mean_surface_at
 from ..xla.barriers import barrier
 from ..xla.rematerialization import remat
@@ -196,7 +196,7 @@ def _light_terms(
     **Arguments:** `shadows`: false where no object can stand in the light's way.
     """
     ray, hit, surface, distance = layer.ray.value, layer.hit, layer.surface, layer.distance
-    highlight = context.settings.highlight
+    highlight = HIGHLIGHTS[context.settings.highlight]
     to_light = toward_light(surface, light)
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
@@ -212,11 +212,11 @@ def _light_terms(
         )
         return half_plane_area(f.value, f.dx, f.dy)
 
-    abrupt = lit & ends_abruptly(highlight, to_light, ray.direction)
+    abrupt = lit & highlight.ends_abruptly(to_light, ray.direction)
     front = lambda: (cosine > 0).astype(part.dtype)
     part = part * lax.cond(jnp.any(abrupt), front_area, front)
     exponent = context.material(hit.id, lambda m: m.exponent)
-    shine = power(HIGHLIGHTS[highlight](surface, to_light, ray.direction), exponent)
+    shine = power(highlight.cosine(surface, to_light, ray.direction), exponent)
     return diffuse, shine * part
 
 

@@ -19,7 +19,7 @@ from ..tracing.context import TraceContext
 from ..tracing.hit import Hit, PixelHit, Surface, shadow_segment
 from ..tracing.plane import Plane
 from ..tracing.queries import shadow_scale
-from ..tracing.shading import ends_abruptly
+from ..tracing.shading import HIGHLIGHTS
 from ..tracing.sphere import Sphere
 from ..tracing.surface import surface_at
 from ..xla.loops import loop
@@ -110,6 +110,7 @@ def _light_edges(
     if needs.highlights:
         curved = norm(segment.to_light) * context.curvature_of_hit(hit) / scale + 1
         ends = jnp.abs(cosine) < width * curved
-        abrupt = ends_abruptly(context.settings.highlight, segment.to_light, ray.direction)
+        model = HIGHLIGHTS[context.settings.highlight]
+        abrupt = model.ends_abruptly(segment.to_light, ray.direction)
         edge = edge | ends & abrupt
     return edge

@@ -13,7 +13,7 @@ from ..xla.sharding import Rows, rows_of_device, rows_sharding
 from .needs import Needs, needs as needs_of
 from .scene import Scene
 
-HIGHLIGHTS: tuple[Highlight, ...] = get_args(Highlight)
+HIGHLIGHT_NAMES: tuple[Highlight, ...] = get_args(Highlight)
 
 #: Limit of the samples along a pixel's side. More would never end: time grows with the square.
 MOST_SAMPLES = 256

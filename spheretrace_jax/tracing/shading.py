@@ -5,6 +5,9 @@
 with S the surface's colour, C_l the light's, A the mean of all C_l, and unit vectors N, L, V, R, H.
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax.numpy as jnp
 
 from ..base.types import Highlight, Mask, PixelArray
@@ -38,18 +41,21 @@ def blinn(surface: Surface, to_light: Vec, direction: Vec) -> PixelArray:
     return jnp.where(defined, cosine, 0)
 
 
-HIGHLIGHTS = {"phong": phong, "blinn": blinn}
+class HighlightModel(NamedTuple):
+    """A model of highlights: max(cosine, 0)^exponent where the surface is lit."""
+
+    cosine: Callable[[Surface, Vec, Vec], PixelArray]  #: a function such as `phong`
+    #: from L and the rays' directions to where the highlight has not faded out at N.L = 0, where
+    #: lighting ends: an edge
+    ends_abruptly: Callable[[Vec, Vec], Mask]
 
 
-def ends_abruptly(highlight: Highlight, to_light: Vec, direction: Vec) -> Mask:
-    """Tests whether a highlight is discontinuous at N.L = 0, where lighting ends.
-
-    Phong's is where L.V < 0, with the light behind the surface; Blinn's always is.
-
-    **Arguments:** as for `phong`.
-    """
-    behind = dot(to_light, direction) > 0
-    return behind if highlight == "phong" else jnp.full(behind.shape, True)
+#: All models; their names are those of `base.types.Highlight`.
+HIGHLIGHTS: dict[Highlight, HighlightModel] = {
+    # R.V is positive at N.L = 0 only where L.V < 0, with the light behind the surface
+    "phong": HighlightModel(phong, lambda L, direction: dot(L, direction) > 0),
+    "blinn": HighlightModel(blinn, lambda L, _: jnp.full(L.x.shape, True)),
+}
 
 
 def power(cosine: PixelArray, exponent: PixelArray) -> PixelArray:
@@ -84,5 +90,5 @@ def light_terms(
     diffuse = jnp.where(lit, cosine, 0)
     if highlight is None:
         return diffuse, jnp.zeros_like(diffuse)
-    shine = power(HIGHLIGHTS[highlight](surface, to_light, direction), exponent)
+    shine = power(HIGHLIGHTS[highlight].cosine(surface, to_light, direction), exponent)
     return diffuse, jnp.where(lit, shine, 0)

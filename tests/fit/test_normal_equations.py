@@ -1,5 +1,7 @@
 """Normal equations, summed in one pass, against those of the dense Jacobian."""
 
+import importlib
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,8 @@ from jax.flatten_util import ravel_pytree
 from spheretrace_jax.fit.normal_equations.pixel_buckets import bucket_pixels
 from spheretrace_jax.fit.problem.compression import compressed_residual
 from spheretrace_jax.fit.problem.make_problem import make_problem
-from spheretrace_jax.tracing.context import build_context
+from spheretrace_jax.tracing import context as context_module
+from spheretrace_jax.tracing.context import build_context, build_tables as tables
 
 SHADED = ("color", "ka", "kd", "ks", "light_position")
 SOLID = ("color", "ka", "light_position", "center", "radius", "theta", "exposure")
@@ -113,6 +116,17 @@ def test_masked_pixels_are_skipped():
     buckets = bucket_pixels(context, problem.index(0), counts)
     visited = np.asarray(buckets.order)[: int(buckets.starts[-1])]
     np.testing.assert_array_equal(np.sort(visited), np.flatnonzero(mask))
+
+
+def test_context_is_built_once(monkeypatch):
+    problem = problem_of(*SLOW["covered edges in mirrors"])
+    built = []
+    count = lambda *arguments, **settings: built.append(1) or build_context(*arguments, **settings)
+    module = importlib.import_module("spheretrace_jax.fit.normal_equations.normal_equations")
+    monkeypatch.setattr(module, "build_context", count)
+    monkeypatch.setattr(context_module, "build_tables", lambda s: built.append(1) or tables(s))
+    jax.eval_shape(lambda p: p.normal(p.start()), problem)
+    assert len(built) == 2  # one context, and in it the tables
 
 
 def test_replaced_target():

@@ -81,7 +81,7 @@ def _record(context: TraceContext, path: Path) -> RayRecord:
         to_light = toward_light(surface, light)
         lit.append((hit.id >= 0) & light_visible(context, surface.point, hit, light))
         turned.append(lambert(surface, to_light) > 0)
-        cosine = HIGHLIGHTS[context.settings.highlight](surface, to_light, ray.direction)
+        cosine = HIGHLIGHTS[context.settings.highlight].cosine(surface, to_light, ray.direction)
         shows = lit[-1] & turned[-1] & (cosine > 0)
         each = jnp.where(shows, power(cosine, exponent), 0) * ks * jnp.max(light_color)
         shine = shine + each
