@@ -23,7 +23,7 @@ from ..base.vec import Vec
 from ..scene.camera import Camera, view_frame
 from ..scene.planes import Planes
 from ..scene.scene import Scene
-from ..scene.settings import HIGHLIGHT_NAMES
+from ..scene.settings import check_highlight
 from ..scene.spheres import Spheres
 from ..scene.texture import Texture
 from ..tracing.tables import SceneTables, build_tables
@@ -95,9 +95,7 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
     read, and for numbers that are not finite. `InputError` for an unknown highlight, bounces out of
     range, and arrays that are neither float32 nor float64.
     """
-    if highlight not in HIGHLIGHT_NAMES:
-        names = ", ".join(HIGHLIGHT_NAMES)
-        raise InputError(f"highlight must be one of {names}, got {highlight!r}")
+    check_highlight(highlight)
     if not 0 <= bounces < 256:
         raise InputError(f"bounces must be in 0..255 for POV-Ray, got {bounces}")
     scene.check_dtype()

@@ -13,8 +13,6 @@ from ..xla.sharding import Rows, rows_of_device, rows_sharding
 from .needs import Needs, needs as needs_of
 from .scene import Scene
 
-HIGHLIGHT_NAMES: tuple[Highlight, ...] = get_args(Highlight)
-
 #: Limit of the samples along a pixel's side. More would never end: time grows with the square.
 MOST_SAMPLES = 256
 
@@ -72,9 +70,7 @@ def render_settings(
             raise InputError(f"{name} must be at least {least}, got {value}")
     if not 1 <= samples <= MOST_SAMPLES:
         raise InputError(f"samples must be in 1..{MOST_SAMPLES}, got {samples}")
-    highlights = get_args(Highlight)
-    if highlight not in highlights:
-        raise InputError(f"highlight must be one of {', '.join(highlights)}, got {highlight!r}")
+    check_highlight(highlight)
     needs = needs_of(scene) if needs is None else needs
     bounces = bounces if needs.bounces else 0
     if needs.depth is not None:
@@ -89,3 +85,10 @@ def render_settings(
     return RenderSettings(
         width, height, highlight, bounces, samples, antialias, needs, rows, sharding
     )  # fmt: skip
+
+
+def check_highlight(highlight: str) -> None:
+    """Checks a highlight's name. **Raises:** `InputError` for names of no model."""
+    names = get_args(Highlight)
+    if highlight not in names:
+        raise InputError(f"highlight must be one of {', '.join(names)}, got {highlight!r}")
