@@ -39,8 +39,8 @@ from .silhouette import (
     surface_crossing,
 )
 
-#: Silhouettes in front of a layer that are cut out of it: those of the layers next before it.
-#: Each more costs one more side of every polygon.
+#: How many layers in front, the nearest ones, are cut out of a layer. Each more costs one more side
+#: of every polygon.
 FRONTS = 3
 
 
@@ -67,12 +67,12 @@ class VisibleLayer(eqx.Module):
 
 
 class _State(NamedTuple):
-    """The pixels' colours in front of a layer, and what is left for the layers behind."""
+    """The pixels' colours in front of a layer, and what remains for the layers behind."""
 
     color: Vec
-    left: PixelArray  #: the part of the pixel that no layer has yet
-    given: PixelArray  #: what the layer before left to this one, where the two cut one another
-    fronts: tuple[HalfPlane, ...]  #: where the layers before are not
+    uncovered: PixelArray  #: the part of the pixel that no layer has yet
+    handed_on: PixelArray  #: what the layer in front did not take, where the two cut one another
+    outside_fronts: tuple[HalfPlane, ...]  #: the outsides of the silhouettes in front
 
 
 def composite_layers(
@@ -106,12 +106,12 @@ def composite_layers(
 
     black = zeros(alive.shape, context.dtype)
     start = _State(black, one, 0 * one, (whole_pixel(one),) * FRONTS)
-    (color, left, _, _), area = lax.scan(add_layer, start, (layers, shown, last))
+    (color, uncovered, _, _), area = lax.scan(add_layer, start, (layers, shown, last))
     found = Layers(layers.hit, shown, area)
     if not context.needs.background:
         return color, found
     sky = background_color(context.scene, ray.value.direction)
-    return color + where(alive, sky * left, zeros(alive.shape, context.dtype)), found
+    return color + where(alive, sky * uncovered, zeros(alive.shape, context.dtype)), found
 
 
 def _add_layer(
@@ -124,13 +124,13 @@ def _add_layer(
     follow: Bool[Array, ""] | None,
 ) -> tuple[_State, PixelArray]:
     """Adds one layer's colour, counted by its area; returns the area, too."""
-    color, left, given, fronts = state
+    color, uncovered, handed_on, fronts = state
     only = lambda area: jnp.where(shown, area, 0)
     distance = silhouette_distance(context, ray, layer.hit)
     region = barrier(silhouette_region(context, ray.value, layer.hit, distance))
-    given_next = jnp.zeros_like(left)
+    hand_on = jnp.zeros_like(uncovered)
     visible, behind = clip_pixel(region.edge, *fronts), ~region.edge
-    area = jnp.where(contain_pixel(fronts), region.area, visible.area) + given
+    area = jnp.where(contain_pixel(fronts), region.area, visible.area) + handed_on
     if layer.behind is not None:
         surface = mean_surface(context, ray, layer.hit, distance)
         cut = barrier(surface_crossing(context, ray, surface, layer.behind))
@@ -141,14 +141,14 @@ def _add_layer(
         area = area - inside
         visible = clip_pixel(*visible.sides, cut.ahead)
         behind = where(inside > outside, ~cut.ahead, behind)
-        given_next = smaller(inside, outside)
-    area = only(jnp.where(last, left, clamp(area, 0, left)))
+        hand_on = smaller(inside, outside)
+    area = only(jnp.where(last, uncovered, clamp(area, 0, uncovered)))
     mean = mean_surface_at(context, ray.value, distance.q.value, layer.hit, distance.extent)
     pixel = VisibleLayer(ray, layer.hit, distance, mean, visible)
     radiance = layer_radiance(context, pixel, shown, follow)
     color = color + where(shown, radiance * area, zeros(area.shape, area.dtype))
     behind = where(shown, behind, whole_pixel(area))
-    return _State(color, left - area, only(given_next), (behind, *fronts[:-1])), area
+    return _State(color, uncovered - area, only(hand_on), (behind, *fronts[:-1])), area
 
 
 def layer_radiance(
@@ -156,7 +156,8 @@ def layer_radiance(
 ) -> Vec:
     """Returns the mean colour of the part of a pixel in which a layer is visible.
 
-    **Arguments:** `alive`, `follow`: as for `composite_layers`.
+    **Arguments:** `alive`: true in pixels that have the layer. `follow`: as for
+    `composite_layers`.
     """
     terms = partial(_light_terms, context, layer)
     # shadow edges are half of what is compiled: once, not for each light (of three 6.1, not 8.7 s)

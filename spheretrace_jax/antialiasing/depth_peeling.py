@@ -17,8 +17,8 @@ from ..scene.camera import Ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit
-from ..tracing.plane import Plane
-from ..tracing.sphere import Sphere
+from ..tracing.shapes.plane import Plane
+from ..tracing.shapes.sphere import Sphere
 from ..xla.barriers import barrier
 from .polygon import contain_pixel
 from .silhouette import mean_surface, silhouette_distance, surface_crossing

@@ -1,9 +1,11 @@
-"""The edge mask: pixels through which an edge may run: silhouettes, shadow edges, crossings.
+"""The edge mask: pixels through which an edge may run.
 
-Only these pixels are composited from layers (`compositing.py`); all others are what their one ray
-sees. A ray cone bounds how wide a pixel is where its ray meets something. The mask may be set too
-often, which costs time, but is never clear where there is an edge. Everything here is discrete and
-runs under `stop_gradient`.
+Edges are silhouettes, horizons, lines where objects cross, the ends of shadows, and highlights that
+N.L = 0 cuts off; they are looked for at the first two hits of a path. Only these pixels are
+composited from layers (`compositing.py`); all others are what their one ray sees. A ray cone bounds
+how wide a pixel is where its ray meets something. The mask may be set too often, which costs time,
+but is never clear where there is such an edge. Everything here is discrete and runs under
+`stop_gradient`.
 """
 
 import equinox as eqx
@@ -17,10 +19,10 @@ from ..scene.camera import Ray
 from ..tracing.cone import LEAST_COS_VIEW, RayCone
 from ..tracing.context import TraceContext
 from ..tracing.hit import Hit, PixelHit, Surface, shadow_segment
-from ..tracing.plane import Plane
 from ..tracing.queries import shadow_scale
 from ..tracing.shading import HIGHLIGHTS
-from ..tracing.sphere import Sphere
+from ..tracing.shapes.plane import Plane
+from ..tracing.shapes.sphere import Sphere
 from ..tracing.surface import surface_at
 from ..xla.loops import loop
 
@@ -30,8 +32,8 @@ class _Footprint(eqx.Module):
 
     surface: Surface
     t: PixelArray  #: the distance to the hit, infinite where there is none
-    width: PixelArray  #: the radius of the ray's cone at the hit
-    on_surface: PixelArray  #: the radius of the pixel's footprint on the surface
+    cone_radius: PixelArray  #: the radius of the ray's cone at the hit
+    radius: PixelArray  #: the radius of the pixel's footprint on the surface
 
 
 def edge_mask(
@@ -61,8 +63,8 @@ def _footprint(context: TraceContext, ray: Ray, cone: RayCone, hit: Hit) -> _Foo
     surface = surface_at(context, ray, hit)
     hits = hit.id >= 0
     t = jnp.where(hits, dot(surface.point - ray.origin, ray.direction), jnp.inf)
-    width = cone.radius_at(jnp.where(hits, t, 0))
-    return _Footprint(surface, t, width, width / jnp.maximum(surface.cos_view, LEAST_COS_VIEW))
+    radius = cone.radius_at(jnp.where(hits, t, 0))
+    return _Footprint(surface, t, radius, radius / jnp.maximum(surface.cos_view, LEAST_COS_VIEW))
 
 
 def _object_edges(
@@ -80,10 +82,12 @@ def _object_edges(
     edge = context.fold(add_silhouette, jnp.full(pixel.t.shape, False))
     if not context.needs.crossings:
         return edge
-    steep = safe_sqrt(pixel.on_surface * pixel.on_surface - pixel.width * pixel.width)
+    steep = safe_sqrt(pixel.radius * pixel.radius - pixel.cone_radius * pixel.cone_radius)
 
     def add_crossing(object_: Sphere | Plane, number: Index, edge: Mask) -> Mask:
-        return edge | object_.near_crossing(ray, pixel.width, steep, pixel.t) & (hit.id != number)
+        return edge | object_.near_crossing(ray, pixel.cone_radius, steep, pixel.t) & (
+            hit.id != number
+        )
 
     return context.fold(add_crossing, edge)
 
@@ -97,19 +101,20 @@ def _light_edges(
     """
     pixel, needs = _footprint(context, ray, cone, hit), context.needs
     scale = shadow_scale(context, light)
-    width = pixel.on_surface * scale
+    radius = pixel.radius * scale
     segment = shadow_segment(pixel.surface.point * scale, light * scale)
-    cosine = dot(pixel.surface.normal, segment.to_light)
+    facing = dot(pixel.surface.normal, segment.to_light)  # N.L times the light's distance
 
     def add_shadow(object_: Sphere | Plane, number: Index, edge: Mask) -> Mask:
-        return edge | object_.near_shadow_edge(segment, width) & (hit.id != number)
+        return edge | object_.near_shadow_edge(segment, radius) & (hit.id != number)
 
-    edge = jnp.full(cosine.shape, False)
+    edge = jnp.full(facing.shape, False)
     if shadows:
-        edge = context.fold(add_shadow, edge, scale=scale) & (cosine > 0)
+        edge = context.fold(add_shadow, edge, scale=scale) & (facing > 0)
     if needs.highlights:
-        curved = norm(segment.to_light) * context.curvature_of_hit(hit) / scale + 1
-        ends = jnp.abs(cosine) < width * curved
+        # across the footprint it changes by at most its radius times this
+        change = norm(segment.to_light) * context.curvature_of_hit(hit) / scale + 1
+        ends = jnp.abs(facing) < radius * change
         model = HIGHLIGHTS[context.settings.highlight]
         abrupt = model.ends_abruptly(segment.to_light, ray.direction)
         edge = edge | ends & abrupt

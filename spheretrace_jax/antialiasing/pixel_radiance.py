@@ -42,6 +42,7 @@ def pixel_radiance(context: TraceContext, ray: Differential[Ray], alive: Mask) -
     # what rays see is compiled once (first calls of 5.2 and 8.8 s with a bounce, without and with
     # shadows, where two copies take 6.0 and 11; gradients take a tenth longer for it)
     numbers = jnp.arange(1 + most * ways, dtype=jnp.int32)
+    # no bound method: `scan` hashes its function, and a module of arrays has no hash
     add = lambda state, number: looks.add(state, number)
     return lax.scan(add, (zeros(shape, context.dtype), none), numbers)[0][0]
 

@@ -14,10 +14,9 @@ from ..base.vec import Vec, dot, norm, unit, where
 from ..scene.camera import Ray, unit_ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
-from ..tracing.hit import Hit
-from ..tracing.plane import Plane
-from ..tracing.shadowed_pixel import ShadowedPixel
-from ..tracing.sphere import Sphere, from_light
+from ..tracing.hit import Hit, ShadowedPixel
+from ..tracing.shapes.plane import Plane
+from ..tracing.shapes.sphere import Sphere, from_light
 from ..tracing.surface import surface_at
 from ..xla.barriers import barrier
 from ..xla.compaction import replace_where
@@ -195,9 +194,7 @@ def _find_occluders(
     context, ray, light = jax.lax.stop_gradient((context, shaded.ray, light))
     hit, middle = shaded.hit, shaded.middle
     point = ray.at(*middle).map(lambda ray: surface_at(context, unit_ray(ray), hit).point)
-    across, down = (0.5 + jnp.abs(m) for m in middle)
-    footprint = norm(point.dx) * across + norm(point.dy) * down
-    pixel = ShadowedPixel(point, middle, light, norm(light - point.value), footprint)
+    pixel = ShadowedPixel(point, middle, light, norm(light - point.value))
 
     def add(object_: Sphere | Plane, number: Index, state: tuple) -> tuple:
         occluded, edges = state

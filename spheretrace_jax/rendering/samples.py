@@ -28,7 +28,8 @@ EDGE_PIXELS = 1 << 11
 def render_samples(context: TraceContext) -> tuple[Vec | Picture, Mask]:
     """Returns the mean of each pixel's samples, and where there may be edges.
 
-    Where edges are covered, the mean is a `Vec` with the rows above and below.
+    Where edges are covered, the mean is a `Vec` with the rows above and below; of single rays it is
+    the picture.
     """
     settings, k = context.settings, context.settings.samples
     positions = sample_positions(context.scene, settings)
@@ -50,9 +51,9 @@ def render_samples(context: TraceContext) -> tuple[Vec | Picture, Mask]:
 def sample_positions(scene: Scene, settings: RenderSettings) -> tuple[Array, Array]:
     """Returns where the k x k samples of the first pixel are, in pixels from the left and the top.
 
-    Of another pixel, so many rows and columns away, add these.
+    The samples of pixel (row, column) are these plus (column, row).
     """
-    # from the middle of the pixel, where that of its box is too
+    # centred on the pixel: its box filter, which may be wider, has the same centre
     middles = jnp.arange(settings.samples, dtype=scene.dtype) + (1 - settings.samples) / 2
     middles = 0.5 + middles * settings.side
     left, top = jnp.meshgrid(middles, middles)
@@ -132,6 +133,7 @@ def _render_sample(context: TraceContext, left: Array, top: Array) -> tuple[Vec 
         return color, edge
 
     def composite(pixels: Int[Array, " n"], alive: Mask) -> Vec:
+        # the mask has one row more above
         return area_radiance(context, pixels - width, alive, left, top)
 
     # with a place for the rows above and below from now on, no copy is made where neighbours are

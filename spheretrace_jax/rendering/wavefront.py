@@ -1,4 +1,4 @@
-"""The wavefront of secondary rays: first hits, and what paths see from the first bounce on.
+"""The wavefront: what rays from the eye see at their first hit and, bounce by bounce, beyond it.
 
 Each bounce has two halves. The discrete half finds, without derivatives, which objects are met; the
 smooth half follows the paths along these objects and adds their colours (`tracing/path.py`). The
@@ -46,7 +46,7 @@ def ray_radiance(context: TraceContext, ray: Ray, cone: RayCone | None = None) -
     """
     hit = closest_hit(context, ray)
     first = first_path(ray, hit, jnp.full(hit.id.shape, True), cone)
-    edge = ~first.alive
+    edge = jnp.full(hit.id.shape, False)
     if cone is not None:
         edge = edge_mask(context, ray, cone, hit)
     color = shade_path(context, first)
@@ -91,7 +91,7 @@ def _add_bounces(
 
 
 def _add_everywhere(values: T, mask: Mask, work: Callable[[U, Mask], T], inputs: U) -> T:
-    """Adds those of `work` to `values`, if the mask is set anywhere.
+    """Adds what `work` returns to `values`, if the mask is set anywhere.
 
     **Arguments:** `work`: from the inputs of some pixels, and their mask, to values.
     """
@@ -100,7 +100,7 @@ def _add_everywhere(values: T, mask: Mask, work: Callable[[U, Mask], T], inputs:
 
 
 def _add_rows(values: T, mask: Mask, work: Callable[[U, Mask], T], inputs: U) -> T:
-    """Adds those of `work` to `values`, working only on rows of pixels in which the mask is set.
+    """Adds what `work` returns to `values`, only in rows of pixels with the mask set.
 
     **Arguments:** as for `_add_everywhere`.
     """
@@ -143,6 +143,7 @@ class _Bounces(eqx.Module):
         count = self.context.settings.bounces + 1
         room = lambda x: jnp.zeros((len(x), count, *x.shape[1:]), x.dtype).at[:, 0].set(x)
         start = jax.tree.map(room, self.first.hit), alive, jnp.full(alive.shape, False)
+        # no bound method: `scan` hashes its function, and a module of arrays has no hash
         bounce = lambda state, number: self._bounce(state, number)
         (hits, _, edge), _ = lax.scan(bounce, start, jnp.arange(1, count, dtype=jnp.int32))
         return jax.tree.map(lambda x: x[:, 1:], hits), edge
@@ -203,8 +204,8 @@ def _shade_bounces(context: TraceContext, path: Path, hits: Hit, choices: Int[Ar
         def go_on(path: Path, color: Vec) -> tuple[Path, Vec]:
             path = next_path(context, path, choice)
             path = eqx.tree_at(lambda p: p.hit, path, hit)
-            counts = (choices >> number == 0).astype(context.dtype)
-            return path, color + shade_path(context, path) * counts
+            adds = (choices >> number == 0).astype(context.dtype)  # see `fold_sequences`
+            return path, color + shade_path(context, path) * adds
 
         stop = lambda path, color: (eqx.tree_at(lambda p: p.hit, path, hit), color)
         alive = continues(context, state[0], choice) if needs.background else hit.id >= 0

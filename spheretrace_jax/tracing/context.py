@@ -18,8 +18,8 @@ from ..xla.barriers import compute_once, compute_pair_once, unknown_one
 from ..xla.gather import gather_pixel_rows, gather_rows
 from ..xla.loops import UNROLL, loop
 from .hit import Hit
-from .plane import Plane
-from .sphere import Sphere
+from .shapes.plane import Plane
+from .shapes.sphere import Sphere
 from .tables import Material, PixelTables, SceneTables, build_tables, table_row
 
 T = TypeVar("T")
@@ -58,7 +58,7 @@ class TraceContext(eqx.Module):
     # -- variants
 
     def from_row(self, first_row: Int[Array, ""]) -> "TraceContext":
-        """Returns the context of a strip of full rows of pixels from one on."""
+        """Returns the context of a strip of full rows of pixels that starts at `first_row`."""
         if self.accelerator is None:
             return self
         return eqx.tree_at(lambda c: c.accelerator, self, self.accelerator.from_row(first_row))
@@ -76,8 +76,8 @@ class TraceContext(eqx.Module):
         return eqx.tree_at(lambda c: c.scene.lights, self, lights)
 
     def of_scene(self, scene: Scene) -> "TraceContext":
-        """Returns the context of another scene with objects of the same shapes."""
-        return dataclasses.replace(self, scene=scene, tables=build_tables(scene))
+        """Returns the context of another scene with the same shapes, which is not accelerated."""
+        return dataclasses.replace(self.unaccelerated(), scene=scene, tables=build_tables(scene))
 
     def unaccelerated(self) -> "TraceContext":
         """Returns the context in which every ray looks at every sphere, for rays in any order."""
@@ -92,7 +92,7 @@ class TraceContext(eqx.Module):
     # -- rows of the tables, per pixel
 
     def sphere(self, ids: Ids) -> Sphere:
-        """Returns the geometry of the spheres of these numbers; others give some sphere's."""
+        """Returns the geometry of the spheres of these numbers; other numbers give any sphere's."""
         if self.pixel_tables is None:
             return gather_rows(self.tables.spheres, ids)
         return gather_pixel_rows(self.pixel_tables.spheres, ids)
@@ -102,7 +102,7 @@ class TraceContext(eqx.Module):
         return gather_rows(self.tables.planes, self.tables.plane_rows(ids))
 
     def curvature(self, ids: Ids) -> PixelArray:
-        """Returns 1/R of the spheres of these numbers, divided once per sphere, not per pixel."""
+        """Returns 1/R of the spheres of these numbers; of shared tables 1/R is found per sphere."""
         per = lambda radius: 1 / jnp.where(radius > 0, radius, 1)
         if self.pixel_tables is None:
             return gather_rows(per(self.tables.spheres.radius), ids)
@@ -132,8 +132,8 @@ class TraceContext(eqx.Module):
     ) -> T:
         """Folds `body` over all objects: from an object, its number and a state to the next state.
 
-        **Arguments:** `spheres`, `planes`: false to leave out a shape, where the accelerator finds
-        it. `scale`: of the objects' lengths, None for 1. `unroll`: loops over at most this many
+        **Arguments:** `spheres`, `planes`: false to leave out a shape that is looked at in another
+        way. `scale`: of the objects' lengths, None for 1. `unroll`: loops over at most this many
         objects are written out.
         """
         shapes: list[tuple[Sphere | Plane, int, int]] = []

@@ -1,9 +1,11 @@
 """Hits and surfaces: the discrete and the smooth half of what a ray meets."""
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from ..base.types import Ids, Mask, PixelArray
-from ..base.vec import Vec, dot
+from ..base.vec import Vec, dot, norm
+from .differential import Differential
 
 
 class Hit(eqx.Module):
@@ -59,4 +61,32 @@ class ShadowCoverage(eqx.Module):
 
     all: Mask  #: true where the whole pixel is dark
     some: Mask  #: true where at least a part of the pixel is dark
-    center: Mask  #: true where the middle of what is seen is dark
+    #: true where the middle of what is seen is dark, if a part of the pixel is, but not all of it
+    center: Mask
+
+
+class ShadowedPixel(eqx.Module):
+    """The visible part of a surface in pixels, and the light whose shadows are looked for."""
+
+    point: Differential[Vec]  #: the surface at the middle of what is visible, with derivatives
+    middle: tuple[PixelArray, PixelArray]  #: that middle, pixels right and down of the centre
+    light: Vec
+    light_distance: PixelArray  #: from the point to the light
+
+    @property
+    def footprint(self) -> PixelArray:
+        """Returns how far the surface point moves in the pixel at most."""
+        return self.corner_extent(self.point.dx, self.point.dy)
+
+    def corner_extent(self, dx: Vec, dy: Vec) -> PixelArray:
+        """Returns how far a vector varies at most between the middle and the pixel's corners.
+
+        **Arguments:** `dx`, `dy`: the vector's derivatives by the position in pixels.
+        """
+        across, down = self.spans
+        return norm(dx) * across + norm(dy) * down
+
+    @property
+    def spans(self) -> tuple[PixelArray, PixelArray]:
+        """Returns the largest distances, across and down, from the middle to the pixel's border."""
+        return 0.5 + jnp.abs(self.middle[0]), 0.5 + jnp.abs(self.middle[1])

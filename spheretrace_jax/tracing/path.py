@@ -157,8 +157,8 @@ def trace_path(context: TraceContext, path: Path) -> Vec:
             def go_on(path: Path, color: Vec) -> tuple[Path, Vec]:
                 hit = closest_hit(context, path.ray, path.hit)
                 path = eqx.tree_at(lambda p: p.hit, path, hit)
-                counts = (choices >> number == 0).astype(context.dtype)
-                color = color + shade_path(context, path) * counts
+                adds = (choices >> number == 0).astype(context.dtype)  # see `fold_sequences`
+                color = color + shade_path(context, path) * adds
                 return next_path(context, path, choices >> number & 1), color
 
             stay = lambda *state: state

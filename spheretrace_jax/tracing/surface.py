@@ -5,7 +5,7 @@ from ..base.vec import Vec, where
 from ..scene.camera import Ray
 from .context import TraceContext
 from .hit import Hit, Surface
-from .sphere import Sphere
+from .shapes.sphere import Sphere
 
 
 def surface_at(context: TraceContext, ray: Ray, hit: Hit) -> Surface:

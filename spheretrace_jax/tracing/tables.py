@@ -16,8 +16,8 @@ from ..base.vec import Vec, unit, vec
 from ..scene.camera import view_frame
 from ..scene.scene import Scene
 from ..xla.gather import smallest_int
-from .plane import Plane
-from .sphere import Sphere
+from .shapes.plane import Plane
+from .shapes.sphere import Sphere
 
 T = TypeVar("T")
 

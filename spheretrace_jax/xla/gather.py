@@ -3,7 +3,6 @@
 from typing import TypeVar
 
 import jax
-import jax.core
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float

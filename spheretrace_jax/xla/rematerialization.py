@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import jax
-import jax.core
 from jax.ad_checkpoint import checkpoint_name
 
 T = TypeVar("T")

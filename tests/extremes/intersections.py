@@ -12,7 +12,7 @@ from extremes.case import Case, case
 from extremes.exact import EXACT, line_distance, ray, sphere_roots, to_exact
 from spheretrace_jax.base.vec import components, vec
 from spheretrace_jax.scene.camera import pixel_rays
-from spheretrace_jax.tracing.sphere import ray_sphere
+from spheretrace_jax.tracing.shapes.sphere import ray_sphere
 
 GEMS = "Ray Tracing Gems (2019), ch. 7"
 RAYS = 200

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import pytest
 
 from spheretrace_jax.base.vec import vec
-from spheretrace_jax.tracing.plane import ray_plane
+from spheretrace_jax.tracing.shapes.plane import ray_plane
 
 
 @pytest.mark.parametrize(("height", "t"), [(3.0, 3.0), (-3.0, -3.0)])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from spheretrace_jax.base.vec import Vec, dot, vec
-from spheretrace_jax.tracing.sphere import Sphere, ray_sphere
+from spheretrace_jax.tracing.shapes.sphere import Sphere, ray_sphere
 
 
 def roots(origin, direction, center, radius):

@@ -39,18 +39,19 @@ from .jacobian_rows import ColorAndRows, color_and_rows
 from .parameter_index import ParameterIndex
 from .pixel_buckets import EDGE, MOST, SEVERAL, STILL, PixelBuckets, bucket_pixels
 
-# Pixels of one object, and those that show several, are looked at so many at a time, or else what
-# is left of the last time costs more than many times do: a step of the nine spheres' geometry at
-# 256 x 256 takes 77 ms, of its 51 x 51 boxes 23; with 4096 and 2048 125 and 100.
+# Pixels per chunk, of those that show one object, and of those that show several. Larger chunks
+# waste more in the last, half-empty one; smaller ones cost more overhead. A geometry step of the
+# nine spheres takes 77 ms at 256 x 256 and 23 at 51 x 51; with 4096 and 2048 it takes 125 and 100.
 MOST_ALONE, MOST_MIXED = 1 << 10, 1 << 8
 
 # Chunks of `MOST` pixels of one object are looked at so many side by side where the Gram matrix of
 # their shading is summed: loops over 4096 pixels alone are run by one thread.
 CHUNKS_ABREAST = 8
 
-# Chunks of pixels that show several objects are as small as their part of the Jacobian has no more
-# than so many numbers, 12 MB in float64.
-MOST_NUMBERS = 1 << 19
+# Chunks of pixels that show several objects are so small that their part of the Jacobian has no
+# more numbers than this per channel, 12 MB in float64; but no smaller than the second number, in
+# pixels.
+MOST_NUMBERS, LEAST_MIXED = 1 << 19, 64
 
 
 class NormalEquations(eqx.Module):
@@ -115,6 +116,7 @@ def _of_rows(
 ) -> NormalEquations:
     """Sums the part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
     context = build_context(scene, settings, accelerated=settings.antialias)
+    # only the mask is used, so that XLA drops all else
     edge = render_samples(context)[1] if settings.antialias else None
     context = context.unaccelerated()
     if buckets is None:
@@ -124,6 +126,7 @@ def _of_rows(
     n, dtype = index.size, scene.dtype
     normal = NormalEquations(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype))
     normal = _add_single(_add_still(normal, picture), picture)
+    # with edges covered, pixels whose samples differ have edges
     if settings.bounces or (settings.samples > 1 and not settings.antialias):
         normal = _add_mixed(normal, picture, SEVERAL, partial(picture.near, look_by_ray))
     if settings.antialias:
@@ -207,7 +210,10 @@ def _add_single(normal: NormalEquations, picture: BucketedPicture) -> NormalEqua
 
 
 def _add_gram(normal: NormalEquations, picture: BucketedPicture) -> NormalEquations:
-    """Adds the same by Gram matrices of the shading, for chunks of several objects side by side."""
+    """Adds the pixels that show one object each, by Gram matrices of their shading.
+
+    Chunks of several objects are summed side by side.
+    """
     context, index, buckets = picture.context, picture.index, picture.buckets
     count = len(index.each) - 1
     begin, end = buckets.bounds(jnp.arange(count, dtype=jnp.int32))
@@ -221,18 +227,18 @@ def _add_gram(normal: NormalEquations, picture: BucketedPicture) -> NormalEquati
         chunk = k * abreast + jnp.arange(abreast, dtype=jnp.int32)
         number = jnp.searchsorted(ends, chunk, side="right").astype(jnp.int32)
         number = jnp.minimum(number, count - 1)
-        first = begin[number] + (chunk - (ends - chunks)[number]) * MOST
-        place = first[:, None] + jnp.arange(MOST, dtype=jnp.int32)[None]
+        begins = begin[number] + (chunk - (ends - chunks)[number]) * MOST
+        place = begins[:, None] + jnp.arange(MOST, dtype=jnp.int32)[None]
         pixels = buckets.order.at[place].get(mode="clip")
         target = picture.target_at(pixels, place < end[number][:, None])
         basis = shading(number).basis(pixels)
         factors = jax.vmap(lambda number: shading(number).factors())(number)
         # term by term: for a product of matrices, and channel by channel for `gram`, all of it
         # would be copied (10.3 ms, not 11.3)
-        first, *terms = (
-            basis[:, k, :, None] * factors[:, None, :, k] for k in range(factors.shape[2])
+        term, *others = (
+            basis[:, j, :, None] * factors[:, None, :, j] for j in range(factors.shape[2])
         )
-        seen = sum(terms, first)
+        seen = sum(others, term)
         residual = target.residual(seen, picture.exposure)
         slope, _ = target.slopes(seen, picture.exposure)
         split = lambda x: [x[..., c] for c in range(3)]
@@ -253,7 +259,8 @@ def _add_mixed(
 ) -> NormalEquations:
     """Adds the pixels that show several objects, of one kind.
 
-    **Arguments:** `mean`: from a context, pixels and which of them count to the colours seen.
+    **Arguments:** `kind`: `SEVERAL` or `EDGE`. `mean`: from a context, pixels and which of them
+    count to the colours seen.
     """
     context, index = picture.context, picture.index
 
@@ -262,5 +269,5 @@ def _add_mixed(
         return color_and_rows(see, context, context.tables.shared, index, pixels.size)
 
     columns = jnp.asarray(index.all)
-    count = max(64, min(MOST_MIXED, MOST_NUMBERS // columns.size))
+    count = max(LEAST_MIXED, min(MOST_MIXED, MOST_NUMBERS // columns.size))
     return _add_bucket(normal, picture, len(index.each) + kind, columns, look, count)

@@ -1,4 +1,4 @@
-"""`Stop`: what the ray of a pixel meets, bounce by bounce, with the numbers that decide there."""
+"""`RayRecord`: what a pixel's ray meets, bounce by bounce, with the numbers that decide there."""
 
 import equinox as eqx
 import jax

@@ -8,14 +8,13 @@ Arrays are scalars for one row of the tables, or one number per pixel once gathe
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..base.safe_math import larger, safe_sqrt
-from ..base.types import Mask, PixelArray, Scalar
-from ..base.vec import Vec, dot
-from ..scene.camera import Ray
-from .cone import RayCone
-from .differential import Differential
-from .hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowSegment, Surface
-from .shadowed_pixel import ShadowedPixel
+from ...base.safe_math import larger, safe_sqrt
+from ...base.types import Mask, PixelArray, Scalar
+from ...base.vec import Vec, dot
+from ...scene.camera import Ray
+from ..cone import RayCone
+from ..differential import Differential
+from ..hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowedPixel, ShadowSegment, Surface
 
 # Near its horizon a plane is taken to be as steep as this part of what D.N varies in the pixel: a
 # plane seen edge-on would else be infinitely far away.
@@ -118,21 +117,21 @@ class Plane(eqx.Module):
         """Tests whether the horizon may run through a pixel; any sphere that is hit hides it."""
         return (jnp.abs(self.slope(ray)) < cone.spread) & ~hit.is_sphere
 
-    def near_crossing(self, ray: Ray, width: PixelArray, steep: PixelArray, t: PixelArray) -> Mask:
+    def near_crossing(self, ray: Ray, radius: PixelArray, steep: PixelArray, t: PixelArray) -> Mask:
         """Tests whether the plane may cut the surface hit.
 
         **Arguments:** as for `Sphere.near_crossing`.
         """
         slope = jnp.abs(self.slope(ray))
         apart = jnp.abs(ray_plane(ray.origin, ray.direction, self.point, self.normal) - t)
-        return apart * slope < steep * slope + width
+        return apart * slope < steep * slope + radius
 
-    def near_shadow_edge(self, segment: ShadowSegment, width: PixelArray) -> Mask:
+    def near_shadow_edge(self, segment: ShadowSegment, radius: PixelArray) -> Mask:
         """Tests whether the surface may meet the plane in the pixel, where its shadow begins.
 
         **Arguments:** as for `Sphere.near_shadow_edge`.
         """
-        return jnp.abs(dot(segment.point - self.point, self.normal)) < width
+        return jnp.abs(dot(segment.point - self.point, self.normal)) < radius
 
     def pixel_coverage(
         self,

@@ -1,25 +1,24 @@
 """The sphere: everything that the tracer and the antialiasing must know of this shape.
 
 A sphere is met where the perpendicular q from a ray to the centre is shorter than the radius; half
-the chord h = sqrt(R^2 - q.q) gives both hits, the normal and N.V. Every question below is answered
-with q and h. Arrays are scalars for one row of the tables, or one number per pixel once gathered.
+the chord h = sqrt(R^2 - q.q) gives both hits, the normal and N.V. Arrays are scalars for one row of
+the tables, or one number per pixel once gathered.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..base.safe_math import larger, safe_sqrt, smaller
-from ..base.types import Mask, PixelArray, Scalar
-from ..base.vec import Vec, cross, dot, norm, unit
-from ..scene.camera import Ray
-from .cone import RayCone
-from .differential import Differential
-from .hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowSegment, Surface
-from .shadowed_pixel import ShadowedPixel
+from ...base.safe_math import larger, safe_sqrt, smaller
+from ...base.types import Mask, PixelArray, Scalar
+from ...base.vec import Vec, cross, dot, norm, unit
+from ...scene.camera import Ray
+from ..cone import RayCone
+from ..differential import Differential
+from ..hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowedPixel, ShadowSegment, Surface
 
-# A pixel that a rim only touches with its corner shows at least this part of the rim, in units of
-# R times the distance from the pixel's centre to its border. With 0 its normal would be undefined.
+# The largest h^2 in a pixel is taken to be at least this times R min(extent, R): a pixel that a rim
+# only touches with its corner would have no normal otherwise.
 _LEAST_RIM = 0.1
 
 
@@ -58,6 +57,9 @@ class Sphere(eqx.Module):
         **Arguments:** `is_source`: true where the ray starts on this sphere, None for the eye.
         `source_inside`: true where the ray starts on the inside of its source. `may_be_inside`:
         false where no ray of the scene starts inside a sphere.
+
+        **Returns:** the distance, nan where the ray misses; the mask of rays that skip the sphere,
+        None where none does.
         """
         near, far = self.intersect(ray)
         if not may_be_inside:
@@ -115,11 +117,12 @@ class Sphere(eqx.Module):
         return half_chord * short, q * (shrink * short)
 
     def chord_range(self, q: Vec, extent: PixelArray) -> tuple[PixelArray, PixelArray]:
-        """Returns the least and the largest half chord over |q| +- reach inside the sphere."""
+        """Returns the least and the largest half chord over |q| +- extent inside the sphere."""
         length, square = norm(q), self.radius * self.radius
         near, far = larger(length - extent, 0), length + extent
-        least = _LEAST_RIM * self.radius * smaller(extent, self.radius)
-        return safe_sqrt(square - far * far), safe_sqrt(larger(square - near * near, least))
+        least_square = _LEAST_RIM * self.radius * smaller(extent, self.radius)
+        largest = safe_sqrt(larger(square - near * near, least_square))
+        return safe_sqrt(square - far * far), largest
 
     def mean_lambert(
         self, ray: Ray, q: Vec, extent: PixelArray, cosine: PixelArray, to_light: Vec
@@ -182,7 +185,7 @@ class Sphere(eqx.Module):
         """
         foot = pixel.point.map(lambda p: from_light(p, pixel.light, self.center))
         along, q = foot.value
-        extent, inner = pixel.extent(foot.dx[1], foot.dy[1]), self.radius - norm(q)
+        extent, inner = pixel.corner_extent(foot.dx[1], foot.dy[1]), self.radius - norm(q)
         away, to_center = pixel.light - self.center, self.center - pixel.point.value
         square = self.radius * self.radius
         light_inside = dot(away, away) < square
@@ -211,26 +214,26 @@ class Sphere(eqx.Module):
         near = near & ~(hit.is_other & (hit.t < along))
         return near if hit.is_source is None else near & ~hit.is_source
 
-    def near_crossing(self, ray: Ray, width: PixelArray, steep: PixelArray, t: PixelArray) -> Mask:
+    def near_crossing(self, ray: Ray, radius: PixelArray, steep: PixelArray, t: PixelArray) -> Mask:
         """Tests whether the sphere may cut the surface hit: both are equally deep in the pixel.
 
-        **Arguments:** `width`: the radius of the ray's cone at the hit. `steep`: how much the depth
+        **Arguments:** `radius`: that of the ray's cone at the hit. `steep`: how much the depth
         of the surface hit varies across the pixel. `t`: its depth.
         """
         along, q = self.perpendicular(ray)
         half = jnp.sqrt(self.radius * self.radius - dot(q, q))  # nan = miss
         apart = jnp.minimum(jnp.abs(along - half - t), jnp.abs(along + half - t))
-        return apart * half < steep * half + width * norm(q)
+        return apart * half < steep * half + radius * norm(q)
 
-    def near_shadow_edge(self, segment: ShadowSegment, width: PixelArray) -> Mask:
+    def near_shadow_edge(self, segment: ShadowSegment, radius: PixelArray) -> Mask:
         """Tests whether the edge of the sphere's shadow may run through a pixel.
 
-        **Arguments:** `width`: the radius of the pixel's footprint on the surface.
+        **Arguments:** `radius`: that of the pixel's footprint on the surface.
         """
         to_center = self.center - segment.point
         off = cross(to_center, segment.to_light)
         along = dot(to_center, segment.to_light)
-        near = _between(dot(off, off), self.radius, width, segment.square)
+        near = _between(dot(off, off), self.radius, radius, segment.square)
         return near & (along > 0) & (along < segment.square)
 
     def pixel_coverage(
