@@ -14,7 +14,7 @@ from ...rendering.render import draw_replicated
 from ..model.target import SIGMA_OF_MEDIAN, Target
 from ..problem.labels import labels_of
 from ..problem.problem import Problem, normal_at
-from .uncertainty import spectrum_of
+from .null_space import spectrum_of
 
 # The residual from which a number is an outlier, in medians of the absolute residuals: 6 standard
 # deviations of normal noise, which one of 5e8 numbers exceeds.

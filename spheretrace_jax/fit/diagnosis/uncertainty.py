@@ -20,8 +20,8 @@ from ...xla.jit import compiled
 from ..model.parameters import bounding_sphere
 from ..normal_equations.normal_equations import NormalEquations
 from ..problem.problem import Problem, normal_at
-from .null_columns import ROUNDING
-from .null_space import Reason, null_space_reasons
+from .null_space import Spectrum, spectrum_of
+from .null_space_reasons import Reason, null_space_reasons
 
 # The part of a direction of length 1 outside what is explained, up to which the direction says
 # nothing new: smaller parts are rounding errors of the directions, in float64 and of the scene's.
@@ -35,64 +35,6 @@ _EDGE_ERROR = 1e-2
 # determined. Smaller ones are errors of the directions; a larger limit gives finite deviations to
 # functions that do depend.
 _DEPENDS = 1e-5
-
-
-class Spectrum(eqx.Module):
-    """J^T J, its columns scaled to length 1, by eigenvectors; largest first."""
-
-    scale: Float[np.ndarray, " free"]  #: the lengths of J's columns
-    null: Bool[np.ndarray, " free"]  #: which columns are 0
-    values: Float[np.ndarray, " free"]
-    vectors: Float[np.ndarray, "free free"]
-    least: float  #: eigenvalues up to this are 0
-
-    @property
-    def rank(self) -> int:
-        """Returns how many independent directions show."""
-        return int(np.sum(self.values > self.least))
-
-    @property
-    def known(self) -> Float[np.ndarray, "free rank"]:
-        """Returns the directions that show, as columns."""
-        return self.vectors[:, : self.rank]
-
-    @property
-    def null_space(self) -> Float[np.ndarray, "free nullity"]:
-        """Returns the directions that do not show, as columns."""
-        return self.vectors[:, self.rank :]
-
-    def shown(self, directions: Float[np.ndarray, "free count"]) -> float:
-        """Returns how much at most one of several directions of length 1 shows, squared."""
-        return float(np.max(self.values @ (self.vectors.T @ directions) ** 2, initial=0))
-
-    def without(self, directions: Float[np.ndarray, "free count"]) -> "Spectrum":
-        """Returns the spectrum where orthonormal directions do not show."""
-        kept = self.vectors - directions @ (directions.T @ self.vectors)
-        values, vectors = _eigen((kept * self.values) @ kept.T)
-        return eqx.tree_at(lambda s: (s.values, s.vectors), self, (values, vectors))
-
-
-def spectrum_of(square: Float[np.ndarray, "free free"], norm: float) -> Spectrum:
-    """Returns the spectrum of J^T J.
-
-    Columns of J up to `ROUNDING` rounding errors of the picture are 0, and so are eigenvalues.
-
-    **Arguments:** `square`: J^T J. `norm`: of the picture, over all its numbers.
-    """
-    rounding = ROUNDING * np.finfo(square.dtype).eps
-    scale = np.sqrt(np.diag(square))
-    null = scale <= rounding * norm
-    # any length would do for null columns; one like the others' keeps functions of both comparable
-    scale = np.where(null, np.median(scale[~null]) if not null.all() else 1.0, scale)
-    shows = ~null[:, None] & ~null[None, :]
-    values, vectors = _eigen(np.where(shows, square / scale[:, None] / scale[None, :], 0))
-    return Spectrum(scale, null, values, vectors, least=float(rounding * values.size))
-
-
-def _eigen(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns eigenvalues, largest first, and eigenvectors. Those below 0 by rounding become 0."""
-    values, vectors = np.linalg.eigh(square)
-    return np.maximum(values[::-1], 0), np.ascontiguousarray(vectors[:, ::-1])
 
 
 class Uncertainty(eqx.Module):
