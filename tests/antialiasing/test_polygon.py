@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as strategy
-from spheretrace_jax.antialiasing.differential import Differential
 
 from spheretrace_jax.antialiasing import coverage, polygon
 from spheretrace_jax.antialiasing.polygon import HalfPlane
+from spheretrace_jax.tracing.differential import Differential
 
 clipped_area = jax.jit(polygon.clipped_area)
 FLOATS = pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -11,6 +11,7 @@ import pytest
 from helpers.scenes import CAMERA, FLAT, SCENES, WHITE, nine_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.rendering import samples
 
 module = sys.modules["spheretrace_jax.rendering.render"]
 
@@ -125,7 +126,7 @@ def test_antialias_1_against_samples():
 def test_strips_leave_no_seams(monkeypatch):
     scene, size = SCENES["planes"], dict(width=23, height=19, bounces=1)
     one_strip = st.render(scene, **size)
-    monkeypatch.setattr(module, "STRIP_PIXELS", 100)
+    monkeypatch.setattr(samples, "STRIP_PIXELS", 100)
     strips = eqx.filter_jit(module.draw.__wrapped__)(scene, module.render_settings(scene, **size))
     np.testing.assert_allclose(strips, one_strip, atol=1e-14)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spheretrace_jax.base.vec import Vec, dot, norm, reflect, unit, vec
+from spheretrace_jax.tracing.hit import Surface
 from spheretrace_jax.tracing.shading import blinn, lambert, light_terms, phong, power
-from spheretrace_jax.tracing.tables import Surface
 
 
 def at_angle(degrees: float) -> Vec:
