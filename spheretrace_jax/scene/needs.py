@@ -6,17 +6,17 @@ compiled function.
 """
 
 import dataclasses
-from collections.abc import Iterable
+import functools
+from collections.abc import Iterable, Sequence
 
-import jax
-import jax.core
 import numpy as np
 from jaxtyping import Array, Bool
 
 from ..base.errors import InputError
 from ..base.types import Index
 from . import feature_tests
-from .parameters import parameter_names
+from .arrays import is_traced
+from .parameters import parameter_names, traced_names
 from .scene import Scene
 
 
@@ -51,26 +51,35 @@ class Needs:
         return self.reflection or self.transmission
 
 
-def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
+def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
     """Finds the features that the picture of a scene needs computed.
 
-    **Arguments:** `scene`: a scene of concrete numbers. `free`: names of parameters that will be
-    changed or differentiated later (`"ks"`, `"kgr"`, `"kt"`, `"center"`, ...). Features that free
-    parameters could switch on are needed, even where the present value of a parameter is 0. A
-    derivative with respect to `ks`, `kgr` or `kt` at 0 is right only if the parameter is in `free`.
+    Parameters that are traced, under jit, grad, vmap and the like, count as free: their values are
+    not known. So a loss in the colours needs no more than the scene with free colours.
 
-    **Returns:** needs to pass to `render(..., needs=...)`, also under jit, grad and vmap.
+    **Arguments:** `scene`: a scene, or several scenes, for what they need together: pictures of all
+    of them then share one compiled function. `free`: names of parameters that will be changed or
+    differentiated later (`"ks"`, `"kgr"`, `"kt"`, `"center"`, ...). Features that free parameters
+    could switch on are needed, even where the present value of a parameter is 0. A derivative with
+    respect to `ks`, `kgr` or `kt` at 0 is right only if the parameter is free.
 
-    **Raises:** `InputError` for unknown names in `free`, for dtypes that no scene may have, and
-    under a trace, where the numbers are not known.
+    **Returns:** needs to pass to `render(..., needs=...)`.
+
+    **Raises:** `InputError` for unknown names in `free`, for dtypes that no scene may have, and for
+    no scene at all.
     """
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scene)):
-        raise InputError(
-            "the needs of a scene depend on its numbers, which are not known under jit, grad or "
-            "vmap: compute needs = spheretrace_jax.needs(scene) outside and pass needs=needs"
-        )
-    scene.check_dtype()
     free = parameter_names(free)
+    scenes = [scene] if isinstance(scene, Scene) else list(scene)
+    if not scenes:
+        raise InputError("needs must be asked of at least one scene, got none")
+    found = [_needs_of(one, free) for one in scenes]
+    return functools.reduce(_together, found)
+
+
+def _needs_of(scene: Scene, free: frozenset[str]) -> Needs:
+    """Finds the needs of one scene."""
+    scene.check_dtype()
+    free = free | traced_names(scene)
     spheres, planes = scene.spheres, scene.planes
 
     ks, kgr, kt = (_nonzero(scene, name, free) for name in ("ks", "kgr", "kt"))
@@ -82,14 +91,16 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
     background = bool(
         scene.sky is not None or "background" in free or np.asarray(scene.background).any()
     )
-    textures, checkers = any(spheres.pic), bool(np.asarray(planes.checker_size).any())
+    textures, checkers = any(spheres.pic), _any_nonzero(planes.checker_size)
     tinted = "light_color" in free or feature_tests.any_colored(scene.lights.color)
     colors = (
         textures
         or scene.sky is not None
         or free & {"color", "checker_color", "background"}
+        or any(map(is_traced, _colors(scene)))
         or feature_tests.any_colored(*_colors(scene))
     )
+    cross = moving or is_traced(planes) or (scene.antialias and feature_tests.objects_cross(scene))
     return Needs(
         shadows=lights > len(clear) and (objects > 1 or inside),
         highlights=lights > 0 and bool(ks.any()),
@@ -102,7 +113,7 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
         planes=objects > len(spheres),
         checkers=checkers,
         background=background,
-        crossings=bool(scene.antialias) and (bool(moving) or feature_tests.objects_cross(scene)),
+        crossings=bool(scene.antialias) and bool(cross),
         tinted=tinted,
         colors=tinted or bool(colors),
         clear=clear if len(clear) < lights else (),
@@ -111,12 +122,33 @@ def needs(scene: Scene, *, free: Iterable[str] = ()) -> Needs:
     )
 
 
+def _together(a: Needs, b: Needs) -> Needs:
+    """Returns the needs of two scenes together."""
+    flags = {
+        name: value or getattr(b, name)
+        for name, value in dataclasses.asdict(a).items()
+        if name not in ("clear", "depth")
+    }
+    # the lights of a scene that needs no shadows are all clear
+    clear = [set(n.clear) for n in (a, b) if n.shadows]
+    depth = None if a.depth is None or b.depth is None else max(a.depth, b.depth)
+    both = tuple(sorted(set.intersection(*clear))) if clear else ()
+    return Needs(**flags, clear=both, depth=depth)
+
+
 def _nonzero(scene: Scene, name: str, free: frozenset[str]) -> Bool[np.ndarray, " objects"]:
     """Tells for each object whether its coefficient `name` may be other than 0."""
-    value = np.asarray(getattr(scene.spheres, name))
-    if hasattr(scene.planes, name):
-        value = np.concatenate([value, np.asarray(getattr(scene.planes, name))])
-    return np.full(value.shape, True) if name in free else value != 0
+    values = [
+        getattr(owner, name) for owner in (scene.spheres, scene.planes) if hasattr(owner, name)
+    ]
+    if name in free:
+        return np.full(sum(len(value) for value in values), True)
+    return np.concatenate([np.asarray(value) for value in values]) != 0
+
+
+def _any_nonzero(value: Array) -> bool:
+    """Tells whether a number of an array may be other than 0."""
+    return bool(value.size) and (is_traced(value) or bool(np.asarray(value).any()))
 
 
 def _colors(scene: Scene) -> tuple[Array, ...]:

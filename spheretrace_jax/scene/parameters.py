@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import Any, Literal
 
 from ..base.errors import InputError
+from .arrays import is_traced
 from .scene import Scene
 
 Owner = Literal["spheres", "lights", "planes", "camera", "scene"]
@@ -83,3 +84,8 @@ def parameter_names(names: Iterable[str]) -> frozenset[str]:
     if unknown:
         raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
     return chosen
+
+
+def traced_names(scene: Scene) -> frozenset[str]:
+    """Returns the names of the parameters that are not known yet, as under jit, grad and vmap."""
+    return frozenset(p.name for p in PARAMETERS if is_traced(p.value(scene)))

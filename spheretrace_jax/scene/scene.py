@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .arrays import floats, precision
+from .arrays import converted, floats, precision
 from .camera import Camera
 from .lights import Lights
 from .planes import BackPlane, Planes
@@ -67,7 +67,7 @@ class Scene(eqx.Module):
             sky,
             back_plane,
         )
-        fields = jax.tree.map(lambda leaf: leaf.astype(spheres.radius.dtype), fields)
+        fields = jax.tree.map(lambda leaf: converted(leaf, spheres.radius.dtype), fields)
         self.spheres = spheres
         (
             self.lights,
@@ -106,7 +106,7 @@ class Scene(eqx.Module):
     def astype(self, dtype: Any) -> "Scene":
         """Converts the scene to float32 or float64. **Raises:** `InputError` for other dtypes."""
         chosen = precision(dtype)
-        return jax.tree.map(lambda leaf: leaf.astype(chosen), self)
+        return jax.tree.map(lambda leaf: converted(leaf, chosen), self)
 
     def check_dtype(self) -> None:
         """Checks the dtype of all arrays, which `jax.tree.map` and `eqx.tree_at` can replace.

@@ -92,13 +92,79 @@ def test_needs_are_static_hashable_and_equal_for_scenes_alike():
     assert first == second and hash(first) == hash(second)
 
 
-@pytest.mark.parametrize("transform", [jax.jit, jax.grad, jax.vmap])
-def test_under_a_trace_they_must_be_passed(transform):
-    scene = SCENES["diffuse"]
-    if transform is jax.vmap:
-        scene = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), scene)
-    with pytest.raises(ValueError, match="pass needs=needs"):
-        transform(lambda s: jnp.sum(st.render(s, width=4, height=4)))(scene)
+def needs_inside(transform, function, *arguments) -> st.Needs:
+    """Returns the needs of the scene that `function` makes, found while it is traced."""
+    found = []
+
+    def traced(*arguments):
+        found.append(st.needs(function(*arguments)))
+        return 0.0 * sum(jnp.sum(x) for x in jax.tree.leaves(arguments))
+
+    transform(traced)(*arguments)
+    return found[0]
+
+
+@pytest.mark.parametrize("transform", [jax.jit, jax.grad, jax.hessian, jax.vmap])
+def test_traced_parameters_count_as_free(transform):
+    scene, batch = SCENES["diffuse"], transform is jax.vmap
+    for name, at in (("color", lambda s: s.spheres.color), ("kgr", lambda s: s.spheres.kgr)):
+        value = at(scene)[None] if batch else at(scene)
+        found = needs_inside(transform, lambda v, at=at: eqx.tree_at(at, scene, v), value)
+        assert found == st.needs(scene, free=(name,))
+    whole = jax.tree.map(lambda leaf: leaf[None], scene) if batch else scene
+    everything = needs_inside(transform, lambda s: s, whole)
+    assert everything == dataclasses.replace(
+        st.Needs(), textures=False, planes=False, checkers=False, crossings=False
+    )
+
+
+def test_a_scene_made_under_a_trace_is_known():
+    made = lambda x: st.Scene(st.Spheres([[0.0, 0, 0]], [100.0]), st.Lights([[0.0, 0, 900]]))
+    assert needs_inside(jax.jit, made, 1.0) == st.needs(made(1.0))
+    moved = lambda x: eqx.tree_at(lambda s: s.spheres.ks, made(x).with_antialias(1), x[None])
+    assert needs_inside(jax.jit, moved, jnp.array(1.0)) == st.needs(made(1.0), free=("ks",))
+
+
+def test_render_under_jit_and_grad_needs_no_word():
+    scene = SCENES["shadows"]
+    picture = st.render(scene, width=16, height=12, bounces=1)
+    drawn = jax.jit(st.render, static_argnames=("width", "height", "bounces"))
+    np.testing.assert_allclose(drawn(scene, width=16, height=12, bounces=1), picture, atol=1e-14)
+    at = lambda s: s.spheres.kd
+    loss = lambda kd: jnp.sum(st.render(eqx.tree_at(at, scene, kd), width=16, height=12) ** 2)
+    known = lambda kd: jnp.sum(
+        st.render(eqx.tree_at(at, scene, kd), width=16, height=12, needs=st.needs(scene)) ** 2
+    )
+    slopes = (jax.jit(jax.grad(f))(at(scene)) for f in (loss, known))
+    np.testing.assert_allclose(*slopes, rtol=1e-12)
+
+
+def test_needs_of_several_scenes():
+    names = "diffuse", "mirrors", "planes", "textures"
+    each = [st.needs(SCENES[name]) for name in names]
+    both = st.needs([SCENES[name] for name in names])
+    for field in dataclasses.fields(st.Needs):
+        if field.name not in ("clear", "depth"):
+            assert getattr(both, field.name) == any(getattr(n, field.name) for n in each)
+    one_sphere = st.Scene(st.Spheres([[0.0, 0, 0]], [9.0], kgr=0.3), st.Lights([[0.0, 0, 99]]))
+    assert st.needs([one_sphere, one_sphere]) == st.needs(one_sphere)
+    assert st.needs([one_sphere, SCENES["mirrors"]]).depth is None
+    with pytest.raises(ValueError, match="at least one scene"):
+        st.needs([])
+
+
+def test_clear_lights_of_several_scenes():
+    light = lambda *positions: st.Lights(np.asarray(positions, float))
+    spheres = st.Spheres([[0.0, 0, 0], [300, 0, 0]], [50.0, 50])
+    above, along = [0.0, 0, 900], [900.0, 0, 0]
+    first, second = (
+        st.Scene(spheres, light(*positions)) for positions in ((above, along), (along, above))
+    )
+    assert (st.needs(first).clear, st.needs(second).clear) == ((0,), (1,))
+    both = st.needs([first, second])
+    assert both.shadows and both.clear == ()
+    neither = st.Scene(spheres, light(above, above))
+    assert not st.needs(neither).shadows and st.needs([neither, first]).clear == (0,)
 
 
 def lean_and_full(name: str, **changes) -> tuple[np.ndarray, np.ndarray]:
