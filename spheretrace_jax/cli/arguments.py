@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from ..base.errors import InputError
 from ..base.types import Highlight
@@ -23,8 +23,9 @@ Samples = Annotated[
 ]
 CacheFolder = Annotated[
     Path | None,
-    arg(metavar="DIR", help="keep compiled programs in this folder, and take them from there"),
+    arg(metavar="DIR", help="keep compiled programs in this folder, not in the user's cache"),
 ]
+NoCache = Annotated[bool, FlagCreatePairsOff, arg(help="keep no compiled programs, and use none")]
 
 
 @dataclass(kw_only=True)
@@ -43,6 +44,7 @@ class Compiling(Command):
     """A command that compiles programs."""
 
     cache: CacheFolder = None
+    no_cache: NoCache = False
 
 
 @dataclass(kw_only=True)

@@ -1,4 +1,4 @@
-"""The commands `spheretrace render | fit | check | study | info | convert`."""
+"""The commands `spheretrace render | fit | check | study | info | convert`, and the table of all."""
 
 import time
 from dataclasses import dataclass
@@ -25,6 +25,7 @@ from .arguments import (
     check_folder,
     names_in,
 )
+from .cache import CacheCommand
 from .demo import DemoCommand
 
 
@@ -265,4 +266,5 @@ COMMANDS: dict[str, type[Command]] = {
     "info": InfoCommand,
     "convert": ConvertCommand,
     "demo": DemoCommand,
+    "cache": CacheCommand,
 }

@@ -10,13 +10,16 @@ import sys
 import threading
 import warnings
 from contextlib import nullcontext
-from pathlib import Path
 
 import tyro
 
 from ..base.errors import InputError, SceneWarning
-from .arguments import Command, check_folder
+from .arguments import Command, Compiling
+from .cache import use_cache, use_default_cache
 from .commands import COMMANDS
+
+# Set once a damaged cache was reported, in this process.
+_DAMAGED: list[bool] = []
 
 
 def main() -> None:
@@ -57,8 +60,11 @@ def _run() -> int:
     warnings.showwarning = _show_warning
     double = getattr(command, "dtype", "float32") == "float64" or command.always_double
     _check_counts(command)
-    if (cache := getattr(command, "cache", None)) is not None:
-        _use_cache(cache)
+    if isinstance(command, Compiling):
+        if command.cache is not None:
+            use_cache(command.cache)
+        elif not command.no_cache:
+            use_default_cache()
     with jax.enable_x64(True) if double else nullcontext():
         return command.run()
 
@@ -92,7 +98,15 @@ def _discard_unprinted() -> None:
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    """Prints a warning on one line."""
+    """Prints a warning on one line; of a damaged cache only the first one."""
+    if "persistent compilation cache" in str(message):
+        if _DAMAGED:
+            return
+        _DAMAGED.append(True)
+        message = (
+            "the cache of compiled programs is damaged: `spheretrace cache --clear` empties it"
+        )
+        category = SceneWarning
     prefix = "" if issubclass(category, SceneWarning) else f"{category.__name__}: "
     print(f"spheretrace: warning: {prefix}{message}", file=sys.stderr)
 
@@ -103,15 +117,3 @@ def _check_counts(command: Command) -> None:
         value = getattr(command, name, None)
         if value is not None and value < least:
             raise InputError(f"--{name.replace('_', '-')} must be at least {least}, got {value}")
-
-
-def _use_cache(folder: Path) -> None:
-    """Sets JAX's compilation cache of this process to a folder."""
-    import jax
-
-    check_folder(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    jax.config.update("jax_compilation_cache_dir", str(folder.resolve()))
-    # all programs: by default JAX keeps none that compiled in less than a second, as most do
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

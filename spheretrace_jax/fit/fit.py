@@ -19,7 +19,7 @@ from ..scene.scene import Scene
 from ..xla.jit import compiled
 from .diagnosis.identifiability import Identifiability, identify
 from .diagnosis.outliers import find_outliers, resting_on_outliers
-from .diagnosis.trust import Trust, explains, judge
+from .diagnosis.trust import Trust, explains, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
 from .model.parameters import GEOMETRY
 from .model.target import Loss
@@ -47,6 +47,10 @@ _NOISE_CHANGE = 0.02
 _TRIMMING_DECREASE = 0.5
 
 
+# Limit of the remarks in a fit's summary, in lines.
+_MOST_REMARKS = 7
+
+
 class Fit(eqx.Module):
     """The result of a fit, and what is to be thought of it."""
 
@@ -62,6 +66,23 @@ class Fit(eqx.Module):
     problem: Problem
     values: PyTree  #: the unknowns at the solution
     noise_given: bool  #: whether residuals are multiples of a known noise
+
+    def __str__(self) -> str:
+        """Returns a summary of about ten lines; `repr` shows the whole pytree.
+
+        It says whether to trust the fit, what was free, and what the pictures do not determine.
+        """
+        known, remarks = self.identifiability, together(self.trust.remarks)
+        free = ", ".join(self.problem.parameters[0].free)
+        lines = [
+            self.trust.verdict,
+            f"free: {free}; {known.rank} of {known.free} numbers determined",
+        ]
+        lines += remarks[:_MOST_REMARKS]
+        if len(remarks) > _MOST_REMARKS:
+            more = len(remarks) - _MOST_REMARKS
+            lines.append(f"and {more} more remarks: print(found.trust)")
+        return "\n".join(lines)
 
     @property
     def scene(self) -> Scene:

@@ -41,8 +41,9 @@ def render(
       object both reflects and transmits, 2^n paths are followed.
     - `samples`: k for the average of k x k parts of each pixel, each a picture of its own:
       edges covered analytically or single rays, as the antialias flag says. By default 1.
-    - `needs`: what to compute, by default what `spheretrace_jax.needs(scene)` finds; to be given
-      under jit, grad and vmap, where the scene's numbers are not known.
+    - `needs`: what to compute, by default what `spheretrace_jax.needs(scene)` finds. Under jit,
+      grad and vmap numbers that are traced are not known, and all that they could switch on is
+      computed: where the whole scene is traced, needs found outside make leaner pictures.
     - `sharding`: how the picture's rows lie on several devices, each of which computes its own:
       `NamedSharding(mesh, PartitionSpec("rows"))`, where rows is an axis of the mesh or several.
 

@@ -20,6 +20,7 @@ from .camera import Camera
 from .lights import Lights
 from .planes import BackPlane, Planes
 from .spheres import Spheres
+from .summary import summary
 from .texture import Texture
 
 
@@ -86,6 +87,10 @@ class Scene(eqx.Module):
                 raise ValueError(
                     f"sphere {i + 1} has texture {pic}, but there are {len(self.textures)} textures"
                 )
+
+    def __str__(self) -> str:
+        """Returns a summary of at most ten lines; `repr` shows the whole pytree."""
+        return summary(self)
 
     @property
     def dtype(self) -> np.dtype:

@@ -36,6 +36,8 @@ def spheretrace(folder, monkeypatch, capfd):
     def run(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["spheretrace", *map(str, words)])
         monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+        # it sets JAX for the whole process
+        monkeypatch.setattr(main, "use_default_cache", lambda: None)
         with warnings.catch_warnings(), pytest.raises(SystemExit) as end:
             warnings.simplefilter("always")
             main.main()
@@ -436,7 +438,7 @@ HELP = {
         *("--highlight {phong,blinn}", "--bounces N", "reflections and transmissions at most"),
         *("--samples K", "mean of K x K parts", "--dtype {float32,float64}", "--bits B"),
         *("--colorspace {auto,linear,srgb}", "how to code the file's numbers", "png, ppm"),
-        *("--cache DIR", "keep compiled programs"),
+        *("--cache DIR", "keep compiled programs", "--no-cache"),
     ],
     "fit": [
         *("SCENE", "TARGET", "-o FITTED.txt", "--free NAMES", "color, ka, kd, ks, exponent"),
@@ -447,6 +449,7 @@ HELP = {
     "info": ["SCENE", "what is left out and why"],
     "convert": ["SCENE", "OUT.pov", "POV-Ray"],
     "demo": ["-o DIR", "the folder to write to", "POV-Ray", "from a wrong start", "--cache DIR"],
+    "cache": ["--clear", "delete the compiled programs", "where compiled programs are kept"],
 }
 
 

@@ -68,6 +68,7 @@ def spheretrace(*words: object) -> tuple[int, str, str]:
         contextlib.redirect_stderr(err),
         patch.object(os, "_exit", sys.exit),
         patch.object(sys, "unraisablehook", sys.unraisablehook),
+        patch.object(main, "use_default_cache"),  # sets JAX for the whole process
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("always")
@@ -83,9 +84,10 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
 
-def python(*words: str, folder: Path) -> subprocess.CompletedProcess:
-    """Runs Python in another process."""
-    environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+def python(*words: str, folder: Path, cache: Path | None = None) -> subprocess.CompletedProcess:
+    """Runs Python in another process. **Arguments:** `cache`: in place of the user's cache."""
+    cache = Path(tempfile.gettempdir()) / "spheretrace_tests_cache" if cache is None else cache
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": str(cache)}
     return subprocess.run(
         [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True
     )
