@@ -1,4 +1,4 @@
-"""The commands `spheretrace render | fit | check | study | info | convert`, and the table of all."""
+"""The commands `spheretrace render | fit | check | study | info | convert`; all in a table."""
 
 import time
 from dataclasses import dataclass

@@ -103,9 +103,7 @@ def _show_warning(message, category, filename, lineno, file=None, line=None) -> 
         if _DAMAGED:
             return
         _DAMAGED.append(True)
-        message = (
-            "the cache of compiled programs is damaged: `spheretrace cache --clear` empties it"
-        )
+        message = "compiled programs are damaged and not used: `spheretrace cache --clear`"
         category = SceneWarning
     prefix = "" if issubclass(category, SceneWarning) else f"{category.__name__}: "
     print(f"spheretrace: warning: {prefix}{message}", file=sys.stderr)

@@ -11,10 +11,10 @@ import spheretrace_jax as st
 def test_lines_of_nine_spheres():
     assert str(nine_spheres()).splitlines() == [
         "9 spheres, 1 light, 0 planes, 0 textures, float64, antialias 0",
-        "camera: theta -1.5708, phi 0, mu 500, distance 800, window 512",
+        "camera: theta -0.01, phi 0.01, mu 500, distance 800, window 512",
         "light 1: at 100 900 300, color 1 1 1",
-        "spheres: radius 30 to 65, ka 0.15 to 0.5, kd 0.3 to 0.9, ks 0 to 0.8, exponent 1 to 50,"
-        " kgr 0 to 0.8, kt 0",
+        "spheres: radius 40, ka 0.2, kd 0.1 to 0.9, ks 0 to 0.8, exponent 4 to 36, kgr 0"
+        " to 0.8, kt 0",
     ]
 
 
