@@ -25,6 +25,7 @@ def run(blocks: list[str]) -> dict:
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_first_block(capsys):
     found = run(BLOCKS[:1])["found"]

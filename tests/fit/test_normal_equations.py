@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.scenes import SCENES, nine_spheres
+from helpers.scenes import SCENES, nine_spheres, three_spheres
 from jax.flatten_util import ravel_pytree
 
 from spheretrace_jax.fit.normal_equations.pixel_buckets import bucket_pixels
@@ -119,7 +119,7 @@ def test_masked_pixels_are_skipped():
 
 
 def test_context_is_built_once(monkeypatch):
-    problem = problem_of(*SLOW["covered edges in mirrors"])
+    problem = problem_of(three_spheres(antialias=1), ("color", "radius"), {}, {})
     built = []
     count = lambda *arguments, **settings: built.append(1) or build_context(*arguments, **settings)
     module = importlib.import_module("spheretrace_jax.fit.normal_equations.normal_equations")

@@ -65,7 +65,10 @@ def test_only_surviving_paths_are_traced(monkeypatch):
     assert 0 < sum(traced) < 40 * 26
 
 
-@pytest.mark.parametrize("name", ["mirrors", "glass", "inside"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("mirrors", "inside")]
+
+
+@pytest.mark.parametrize("name", ["glass", *SLOW])
 def test_paths_at_once_equal_the_wavefront(name):
     # pixels with edges follow their few paths bounce by bounce: `path.trace_path`
     context = context_of(SCENES[name], size=(40, 26), bounces=3)

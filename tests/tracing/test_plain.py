@@ -101,6 +101,7 @@ def test_it_ignores_the_antialias_flag():
     np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.slow
 def test_it_can_be_compiled_and_keeps_the_dtype():
     scene = SCENES["inside"]
     drawn = jax.jit(plain_picture, static_argnums=(1, 2, 3, 4))(scene, *SIZE, "blinn", 1)
@@ -131,7 +132,7 @@ def test_its_derivatives_by_colours_and_coefficients_are_the_renderers():
 @pytest.mark.parametrize(
     ("name", "bounces"),
     [
-        ("inside", 1),
+        pytest.param("inside", 1, marks=pytest.mark.slow),
         pytest.param("planes", 1, marks=pytest.mark.slow),
         pytest.param("textures", 1, marks=pytest.mark.slow),
     ],
