@@ -92,6 +92,7 @@ def test_centers_and_radii():
     assert sphere_error(found.scene, truth) < 1e-8
 
 
+@pytest.mark.slow
 def test_coarse_to_fine(monkeypatch):
     truth = two_over_a_floor()
     target, boxes = st.render(truth, **SMALL), []

@@ -23,6 +23,10 @@ from spheretrace_jax.tracing.queries import closest_hit
 SETTINGS = {"width": 40, "height": 26, "bounces": 3}
 
 
+def slow(*names: str) -> list:
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
 def differentiated(scene: st.Scene) -> tuple:
     """Returns a picture, its derivative along all parameters at once, and its gradient."""
     needs = st.needs(scene, free=("kgr", "kt"))
@@ -35,7 +39,7 @@ def differentiated(scene: st.Scene) -> tuple:
     return (*jax.jvp(picture, (moving,), (jax.tree.map(jnp.ones_like, moving),)), slopes)
 
 
-@pytest.mark.parametrize("name", ["mirrors", "glass", "planes"])
+@pytest.mark.parametrize("name", ["glass", *slow("mirrors", "planes")])
 def test_chunks_equal_all_at_once(name, monkeypatch):
     # the camera moves the first rays, kgr and kt scale the secondary rays
     at_once = differentiated(SCENES[name])
@@ -65,10 +69,7 @@ def test_only_surviving_paths_are_traced(monkeypatch):
     assert 0 < sum(traced) < 40 * 26
 
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("mirrors", "inside")]
-
-
-@pytest.mark.parametrize("name", ["glass", *SLOW])
+@pytest.mark.parametrize("name", ["glass", *slow("mirrors", "inside")])
 def test_paths_at_once_equal_the_wavefront(name):
     # pixels with edges follow their few paths bounce by bounce: `path.trace_path`
     context = context_of(SCENES[name], size=(40, 26), bounces=3)
