@@ -118,6 +118,7 @@ def test_masked_pixels_are_skipped():
     np.testing.assert_array_equal(np.sort(visited), np.flatnonzero(mask))
 
 
+@pytest.mark.slow
 def test_context_is_built_once(monkeypatch):
     problem = problem_of(three_spheres(antialias=1), ("color", "radius"), {}, {})
     built = []
