@@ -10,6 +10,7 @@ import sys
 import threading
 import warnings
 from contextlib import nullcontext
+from functools import partial
 
 import tyro
 
@@ -17,9 +18,6 @@ from ..base.errors import InputError, SceneWarning
 from .arguments import Command, Compiling
 from .cache import use_cache, use_default_cache
 from .commands import COMMANDS
-
-# Set once a damaged cache was reported, in this process.
-_DAMAGED: list[bool] = []
 
 
 def main() -> None:
@@ -57,7 +55,7 @@ def _run() -> int:
         description="Draw worlds of spheres, and find the world that a picture shows.",
         config=(tyro.conf.OmitArgPrefixes,),
     )
-    warnings.showwarning = _show_warning
+    warnings.showwarning = partial(_show_warning, set())
     double = getattr(command, "dtype", "float32") == "float64" or command.always_double
     _check_counts(command)
     if isinstance(command, Compiling):
@@ -97,14 +95,16 @@ def _discard_unprinted() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    """Prints a warning on one line; of a damaged cache only the first one."""
-    if "persistent compilation cache" in str(message):
-        if _DAMAGED:
-            return
-        _DAMAGED.append(True)
+def _show_warning(
+    said: set[str], message, category, filename, lineno, file=None, line=None
+) -> None:
+    """Prints a warning on one line. **Arguments:** `said`: what need not be said twice."""
+    if "persistent compilation cache" in str(message):  # JAX warns of each damaged program
         message = "compiled programs are damaged and not used: `spheretrace cache --clear`"
         category = SceneWarning
+        if message in said:
+            return
+        said.add(message)
     prefix = "" if issubclass(category, SceneWarning) else f"{category.__name__}: "
     print(f"spheretrace: warning: {prefix}{message}", file=sys.stderr)
 

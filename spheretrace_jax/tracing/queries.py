@@ -58,17 +58,14 @@ def _closest_object(context: TraceContext, ray: Ray, source_hit: Hit | None) -> 
     def meet(object_: Sphere | Plane, number: Index, best: Best) -> Best:
         return _closer(best, *_meet(object_, ray, source_hit, number, may_be_inside), number)
 
-    visitor = partial(_visit, ray, may_be_inside)
-    if accelerator is None:
-        best = context.fold(meet, best)
-    elif source_hit is None and accelerator.screen_tiles.row is not None:
+    visitor, all_spheres = partial(_visit, ray, may_be_inside), False
+    if accelerator is not None and source_hit is None and accelerator.screen_tiles.row is not None:
         best = _unpack(_visit_tiles(accelerator.screen_tiles, ray, visitor, _pack(best)))
-        best = context.fold(meet, best, spheres=False)
-    elif accelerator.uniform_grid is not None:
+    elif accelerator is not None and accelerator.uniform_grid is not None:
         best = _unpack(_visit_grid(accelerator.uniform_grid, ray, source_hit, visitor, _pack(best)))
-        best = context.fold(meet, best, spheres=False)
     else:
-        best = context.fold(meet, best)
+        all_spheres = True
+    best = context.fold(meet, best, spheres=all_spheres)
     return best[1].astype(context.tables.id_type)
 
 

@@ -47,9 +47,10 @@ def bucket_pixels(
 ) -> PixelBuckets:
     """Sorts pixels into buckets, without derivatives.
 
-    **Arguments:** `counts`: which pixels do, by default all. `edge`: where there may be edges.
+    **Arguments:** `context`: not accelerated, as pixels are in no strip. `counts`: which pixels do,
+    by default all. `edge`: where there may be edges.
     """
-    label = _labels(context.unaccelerated(), index)
+    label = _labels(context, index)
     if edge is not None:
         label = jnp.where(edge.reshape(-1), len(index.each) + EDGE, label)
     if counts is not None:
