@@ -66,10 +66,22 @@ class VisibleLayer(eqx.Module):
     polygon: Polygon
 
 
-class _State(NamedTuple):
-    """The pixels' colours in front of a layer, and what remains for the layers behind."""
+class VisibleLayers(NamedTuple):
+    """The layers of pixels in which something shows, from front to back, one row for each."""
 
-    color: Vec
+    layer: VisibleLayer
+    shown: Mask  #: true in pixels that have such a layer
+    area: PixelArray  #: the part of the pixel that the layer covers, 0..1
+
+    @property
+    def found(self) -> Layers:
+        """Returns the layers' hits and areas alone."""
+        return Layers(self.layer.hit, self.shown, self.area)
+
+
+class _State(NamedTuple):
+    """What remains of pixels for the layers behind."""
+
     uncovered: PixelArray  #: the part of the pixel that no layer has yet
     handed_on: PixelArray  #: what the layer in front did not take, where the two cut one another
     outside_fronts: tuple[HalfPlane, ...]  #: the outsides of the silhouettes in front
@@ -84,47 +96,65 @@ def composite_layers(
 ) -> tuple[Vec, Layers]:
     """Returns the mean colour that pixels see, and their layers.
 
+    **Arguments:** as for `visible_layers`. `follow`: whether the ray at the centre is followed on
+    from what it meets, None for never.
+    """
+    layers, uncovered = visible_layers(context, ray, alive, source_hit)
+    black = zeros(alive.shape, context.dtype)
+
+    def add_layer(color: Vec, inputs: VisibleLayers) -> tuple[Vec, None]:
+        # traced again inside of the branch, which else hands on all that it keeps for the reverse
+        # pass, or as many zeros
+        @remat
+        def add(color: Vec) -> Vec:
+            layer, shown, area = inputs
+            radiance = layer_radiance(context, layer, shown, follow)
+            return color + where(shown, radiance * area, black)
+
+        return lax.cond(jnp.any(inputs.shown), add, lambda color: color, color), None
+
+    color, _ = lax.scan(add_layer, black, layers)
+    if context.needs.background:
+        sky = background_color(context.scene, ray.value.direction)
+        color = color + where(alive, sky * uncovered, black)
+    return color, layers.found
+
+
+def visible_layers(
+    context: TraceContext, ray: Differential[Ray], alive: Mask, source_hit: Hit | None = None
+) -> tuple[VisibleLayers, PixelArray]:
+    """Returns the layers that show in pixels, and the part of each pixel that none covers.
+
     **Arguments:** `ray`: through the pixel's centre, with its differentials. `alive`: true where
-    there is a pixel; others are 0. `source_hit`: the hit that the rays start from, None for the
-    eye. `follow`: whether the ray at the centre is followed on from what it meets, None for never.
+    there is a pixel. `source_hit`: the hit that the rays start from, None for the eye.
     """
     one = jnp.ones(alive.shape, context.dtype)
     layers, shown = peel_layers(context, ray, alive, source_hit)
     last = jnp.arange(len(shown)) == MOST_LAYERS - 1
-    stay = lambda state: (state, jnp.zeros_like(one))
 
-    def add_layer(state: _State, inputs: tuple[Layer, Mask, Mask]) -> tuple[_State, PixelArray]:
-        layer, shown, last = inputs
-
-        # traced again inside of the branch, which else hands on all that it keeps for the reverse
-        # pass, or as many zeros
+    def add_layer(state: _State, inputs: tuple[Layer, Mask, Mask]) -> tuple[_State, VisibleLayers]:
         @remat
-        def add(state: _State) -> tuple[_State, PixelArray]:
-            return _add_layer(context, ray, state, layer, shown, last, follow)
+        def add(state: _State) -> tuple[_State, VisibleLayers]:
+            return _clip_layer(context, ray, state, *inputs)
 
-        return lax.cond(jnp.any(shown), add, stay, state)
+        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(add, state)[1])
+        return lax.cond(jnp.any(inputs[1]), add, lambda state: (state, nothing), state)
 
-    black = zeros(alive.shape, context.dtype)
-    start = _State(black, one, 0 * one, (whole_pixel(one),) * FRONTS)
-    (color, uncovered, _, _), area = lax.scan(add_layer, start, (layers, shown, last))
-    found = Layers(layers.hit, shown, area)
-    if not context.needs.background:
-        return color, found
-    sky = background_color(context.scene, ray.value.direction)
-    return color + where(alive, sky * uncovered, zeros(alive.shape, context.dtype)), found
+    start = _State(one, 0 * one, (whole_pixel(one),) * FRONTS)
+    state, visible = lax.scan(add_layer, start, (layers, shown, last))
+    return visible, state.uncovered
 
 
-def _add_layer(
+def _clip_layer(
     context: TraceContext,
     ray: Differential[Ray],
     state: _State,
     layer: Layer,
     shown: Mask,
     last: Mask,
-    follow: Bool[Array, ""] | None,
-) -> tuple[_State, PixelArray]:
-    """Adds one layer's colour, counted by its area; returns the area, too."""
-    color, uncovered, handed_on, fronts = state
+) -> tuple[_State, VisibleLayers]:
+    """Clips one layer to where it shows, and what is behind to the rest of the pixel."""
+    uncovered, handed_on, fronts = state
     only = lambda area: jnp.where(shown, area, 0)
     distance = silhouette_distance(context, ray, layer.hit)
     region = barrier(silhouette_region(context, ray.value, layer.hit, distance))
@@ -145,10 +175,9 @@ def _add_layer(
     area = only(jnp.where(last, uncovered, clamp(area, 0, uncovered)))
     mean = mean_surface_at(context, ray.value, distance.q.value, layer.hit, distance.extent)
     pixel = VisibleLayer(ray, layer.hit, distance, mean, visible)
-    radiance = layer_radiance(context, pixel, shown, follow)
-    color = color + where(shown, radiance * area, zeros(area.shape, area.dtype))
     behind = where(shown, behind, whole_pixel(area))
-    return _State(color, uncovered - area, only(hand_on), (behind, *fronts[:-1])), area
+    state = _State(uncovered - area, only(hand_on), (behind, *fronts[:-1]))
+    return state, VisibleLayers(pixel, shown, area)
 
 
 def layer_radiance(
@@ -159,7 +188,7 @@ def layer_radiance(
     **Arguments:** `alive`: true in pixels that have the layer. `follow`: as for
     `composite_layers`.
     """
-    terms = partial(_light_terms, context, layer)
+    terms = partial(layer_light_terms, context, layer)
     # shadow edges are half of what is compiled: once, not for each light (of three 6.1, not 8.7 s)
     sums = barrier(sum_lights(context, layer.hit.id.shape, terms, most=1))
     color = local_color(context, layer.hit, layer.surface, sums)
@@ -187,14 +216,19 @@ def secondary_path(
     return eqx.tree_at(lambda p: p.ray, path, unit_ray(path.ray))
 
 
-def _light_terms(
-    context: TraceContext, layer: VisibleLayer, light: Vec, shadows: bool
+def layer_light_terms(
+    context: TraceContext,
+    layer: VisibleLayer,
+    light: Vec,
+    shadows: bool,
+    exponent: PixelArray | None = None,
 ) -> tuple[PixelArray, PixelArray]:
     """Returns N.L and the highlight of one light, each over the part that the light reaches.
 
     The highlight ends abruptly where N.L = 0, which is an edge too.
 
-    **Arguments:** `shadows`: false where no object can stand in the light's way.
+    **Arguments:** `shadows`: false where no object can stand in the light's way. `exponent`: None
+    for that of the objects.
     """
     ray, hit, surface, distance = layer.ray.value, layer.hit, layer.surface, layer.distance
     highlight = HIGHLIGHTS[context.settings.highlight]
@@ -216,7 +250,8 @@ def _light_terms(
     abrupt = lit & highlight.ends_abruptly(to_light, ray.direction)
     front = lambda: (cosine > 0).astype(part.dtype)
     part = part * lax.cond(jnp.any(abrupt), front_area, front)
-    exponent = context.material(hit.id, lambda m: m.exponent)
+    if exponent is None:
+        exponent = context.material(hit.id, lambda m: m.exponent)
     shine = power(highlight.cosine(surface, to_light, ray.direction), exponent)
     return diffuse, shine * part
 

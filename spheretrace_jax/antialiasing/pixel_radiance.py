@@ -94,12 +94,18 @@ class _Looks(eqx.Module):
         self, layer: Layers, choice: Index
     ) -> tuple[Differential[Ray], Hit, PixelArray]:
         """Returns the ray on from a layer, the hit that it starts from, and its weight."""
-        context = self.context
+        ray, path = secondary_differential(self.context, self.ray, layer.hit, layer.shown, choice)
+        return ray, path.hit, path.weight * layer.area
 
-        def secondary(both: tuple[Ray, Surface]) -> Path:
-            return secondary_path(context, *both, layer.hit, layer.shown, choice)
 
-        distance = silhouette_distance(context, self.ray, layer.hit)
-        both = self.ray.paired_with(mean_surface(context, self.ray, layer.hit, distance))
-        path = secondary(both.value)
-        return both.map(lambda both: secondary(both).ray), path.hit, path.weight * layer.area
+def secondary_differential(
+    context: TraceContext, ray: Differential[Ray], hit: Hit, alive: Mask, choice: Index
+) -> tuple[Differential[Ray], Path]:
+    """Returns the rays on from a layer with their differentials, and the path at their centre."""
+
+    def secondary(both: tuple[Ray, Surface]) -> Path:
+        return secondary_path(context, *both, hit, alive, choice)
+
+    distance = silhouette_distance(context, ray, hit)
+    both = ray.paired_with(mean_surface(context, ray, hit, distance))
+    return both.map(lambda both: secondary(both).ray), secondary(both.value)

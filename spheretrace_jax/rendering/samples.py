@@ -14,7 +14,7 @@ from ..scene.scene import Scene
 from ..scene.settings import RenderSettings
 from ..tracing.cone import pixel_cones
 from ..tracing.context import TraceContext
-from ..tracing.differential import pixel_differentials
+from ..tracing.differential import Differential, pixel_differentials
 from ..xla.compaction import add_where
 from ..xla.loops import STRIP_PIXELS, keep_loop_parallel
 from ..xla.rematerialization import remat
@@ -76,11 +76,17 @@ def area_radiance(context: TraceContext, pixels: Ids, alive: Mask, left: Array, 
 
     **Arguments:** as for `point_radiance`; `alive`: which pixels count; others are 0.
     """
+    return pixel_radiance(context, eye_differentials(context, pixels, left, top), alive)
+
+
+def eye_differentials(
+    context: TraceContext, pixels: Ids, left: Array, top: Array
+) -> Differential[Ray]:
+    """Returns the rays of one sample of some pixels, with their differentials."""
     settings = context.settings
     column, row = _positions(pixels, settings, left, top)
     size = settings.width, settings.height
-    ray = pixel_differentials(context.scene.camera, column, row, size, settings.side)
-    return pixel_radiance(context, ray, alive)
+    return pixel_differentials(context.scene.camera, column, row, size, settings.side)
 
 
 def sample_rays(

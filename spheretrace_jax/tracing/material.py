@@ -85,6 +85,20 @@ def surface_color(context: TraceContext, hit: Hit, surface: Surface, color: Vec)
     return color
 
 
+def surface_tint(context: TraceContext, hit: Hit, surface: Surface, direction: Vec) -> Vec:
+    """Returns what the colour of a sphere is multiplied by, the colour of a plane or of the sky.
+
+    None of these moves with what a fit may change while geometry and camera stay.
+    """
+    one = jnp.ones(hit.id.shape, context.dtype)
+    color = context.material(hit.id, lambda m: m.color)
+    tint = where(context.tables.is_plane(hit.id), color, grey(one))
+    tint = surface_color(context, hit, surface, tint)
+    if not context.needs.background:
+        return tint
+    return where(hit.id >= 0, tint, background_color(context.scene, direction))
+
+
 def background_color(scene: Scene, direction: Vec) -> Vec:
     """Returns the colour of rays that leave the world: the sky's picture, or one colour."""
     if scene.sky is not None:

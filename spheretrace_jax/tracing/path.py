@@ -11,9 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
-from ..base.types import Index, Mask, PixelArray
+from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, grey, reflect, where, zeros
 from ..scene.camera import Ray
 from ..scene.settings import RenderSettings
@@ -70,25 +70,27 @@ def light_terms_at(
     light: Vec,
     shadows: bool,
     exponent: PixelArray | None = None,
+    surface: Surface | None = None,
 ) -> tuple[PixelArray, PixelArray]:
     """Returns N.L and the highlight of one light at hits, 0 where the light does not reach.
 
     **Arguments:** `light`: its position. `shadows`: false where no object can stand in its way.
-    `exponent`: None for that of the objects.
+    `exponent`: None for that of the objects. `surface`: None for that where the rays hit.
     """
     highlight = context.settings.highlight if context.needs.highlights else None
     lit = hit.id >= 0
+    # found again in each phase, which is faster than to read it
+    surface_of_hit = lambda: surface_at(context, ray, hit) if surface is None else surface
     if shadows:
 
         def sees_light() -> Mask:
-            return light_visible(context, surface_at(context, ray, hit).point, hit, light)
+            return light_visible(context, surface_of_hit().point, hit, light)
 
         lit = lit & save_residuals(context.compute_once(sees_light))
 
     def terms() -> tuple[PixelArray, PixelArray]:
-        surface = surface_at(context, ray, hit)
         n = context.material(hit.id, lambda m: m.exponent) if exponent is None else exponent
-        return light_terms(surface, ray.direction, light, n, lit, highlight)
+        return light_terms(surface_of_hit(), ray.direction, light, n, lit, highlight)
 
     return context.compute_pair_once(terms) if highlight else terms()
 
@@ -122,6 +124,19 @@ def next_path(
         mirrored = jnp.full(weight.shape, True) if straight is None else ~straight
         cone = next_cone(cone, path.ray, surface, context.curvature_of_hit(path.hit), mirrored)
     return Path(Ray(surface.point, direction), hit, weight, alive, cone)
+
+
+def turn_number(context: TraceContext, hit: Hit, choice: Index) -> Ids:
+    """Returns which of `all_turns` a path's weight is multiplied by as it goes on from a hit."""
+    straight, _ = _turn(context, hit, choice)
+    number = hit.id.astype(jnp.int32)
+    return number if straight is None else number + straight * context.tables.object_count
+
+
+def all_turns(context: TraceContext) -> Float[Array, " turns"]:
+    """Returns kgr of all objects, then kt of all objects, then 1 for no turn."""
+    materials = context.tables.materials
+    return jnp.concatenate([materials.kgr, materials.kt, jnp.ones(1, context.dtype)])
 
 
 def _turn(context: TraceContext, hit: Hit, choice: Index) -> tuple[Mask | None, PixelArray]:

@@ -81,7 +81,7 @@ def rows_sharding(sharding: NamedSharding) -> NamedSharding:
 
 def rows_of_device(height: int, sharding: NamedSharding) -> Rows:
     """Returns the block of rows of the current device: the same number of rows on every device."""
-    return Rows(-(-height // _devices(sharding)), _axes(sharding))
+    return Rows(-(-height // device_count(sharding)), _axes(sharding))
 
 
 def _axes(sharding: NamedSharding) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ def _axes(sharding: NamedSharding) -> tuple[str, ...]:
     return axes if isinstance(axes, tuple) else (axes,)
 
 
-def _devices(sharding: NamedSharding) -> int:
+def device_count(sharding: NamedSharding) -> int:
     """Returns the number of devices among which rows are divided."""
     return math.prod(sharding.mesh.shape[axis] for axis in _axes(sharding))
 
@@ -125,8 +125,13 @@ def pad_rows(
     rows: Shaped[Array, "height ..."], sharding: NamedSharding
 ) -> Shaped[Array, "all ..."]:
     """Pads by rows of 0 to a multiple of the number of devices."""
-    missing = -len(rows) % _devices(sharding)
+    missing = -len(rows) % device_count(sharding)
     return jnp.pad(rows, ((0, missing), *[(0, 0)] * (rows.ndim - 1)))
+
+
+def gather_rows(block: Shaped[Array, "count ..."], axes: tuple[str, ...]) -> Array:
+    """Returns the rows of all devices on each of them."""
+    return lax.all_gather(block, axes, tiled=True)
 
 
 def replicate(values: T, sharding: NamedSharding | None) -> T:
@@ -134,6 +139,11 @@ def replicate(values: T, sharding: NamedSharding | None) -> T:
     if sharding is None:
         return values
     return jax.device_put(values, NamedSharding(sharding.mesh, PartitionSpec()))
+
+
+def divide(values: T, sharding: NamedSharding) -> T:
+    """Divides the rows of arrays, which every process holds whole, among the devices."""
+    return jax.device_put(values, NamedSharding(sharding.mesh, sharding.spec))
 
 
 def gather_on_host(values: T) -> T:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ...base.types import Ids, Index, Mask
+from ...base.types import Ids, Index, Mask, Picture
 from ...base.vec import Vec
 from ...rendering.pixel_filter import filter_weights
 from ...rendering.samples import (
@@ -24,8 +24,7 @@ from ...rendering.samples import (
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...tracing.context import build_context
-from ...xla.compaction import prefix_sum
-from ...xla.sharding import on_devices, pad_rows
+from ...xla.sharding import gather_rows, on_devices, pad_rows
 from ..model.target import Target
 from .bucketed_picture import (
     BucketedPicture,
@@ -34,19 +33,16 @@ from .bucketed_picture import (
     look_by_ray,
     mean_of_samples,
 )
-from .gram import Gram, LinearShading, gram, uses_gram
+from .gbuffer import GBuffer
 from .jacobian_rows import ColorAndRows, color_and_rows
 from .parameter_index import ParameterIndex
-from .pixel_buckets import EDGE, MOST, SEVERAL, STILL, PixelBuckets, bucket_pixels
+from .pixel_buckets import EDGE, MOST, SEVERAL, STILL, bucket_pixels
+from .shading_equations import ShadingEquations, ShadingSums
 
 # Pixels per chunk, of those that show one object, and of those that show several. Larger chunks
 # waste more in the last, half-empty one; smaller ones cost more overhead. A geometry step of the
 # nine spheres takes 77 ms at 256 x 256 and 23 at 51 x 51; with 4096 and 2048 it takes 125 and 100.
 MOST_ALONE, MOST_MIXED = 1 << 10, 1 << 8
-
-# Chunks of `MOST` pixels of one object are looked at so many side by side where the Gram matrix of
-# their shading is summed: loops over 4096 pixels alone are run by one thread.
-CHUNKS_ABREAST = 8
 
 # Chunks of pixels that show several objects are so small that their part of the Jacobian has no
 # more numbers than this per channel, 12 MB in float64; but no smaller than the second number, in
@@ -60,6 +56,8 @@ class NormalEquations(eqx.Module):
     square: Float[Array, "free free"]  #: J^T J
     gradient: Float[Array, " free"]  #: J^T r
     cost: Float[Array, ""]  #: r.r / 2
+    #: each picture where its target counts
+    pictures: tuple[Picture, ...] = ()
 
     def plus(
         self,
@@ -74,7 +72,14 @@ class NormalEquations(eqx.Module):
             self.square.at[at].add(square, mode="drop"),
             self.gradient.at[columns].add(gradient, mode="drop"),
             self.cost + cost,
+            self.pictures,
         )
+
+    def with_seen(self, pixels: Ids, seen: Float[Array, "3 pixels"]) -> "NormalEquations":
+        """Returns the same with the colours of some pixels of the picture."""
+        (picture,) = self.pictures
+        flat = picture.reshape(-1, 3).at[pixels].set(seen.T, mode="drop")
+        return eqx.tree_at(lambda n: n.pictures[0], self, flat.reshape(picture.shape))
 
 
 def normal_equations(
@@ -83,27 +88,63 @@ def normal_equations(
     target: Target,
     index: ParameterIndex,
     settings: RenderSettings,
-    buckets: PixelBuckets | None = None,
+    buffer: GBuffer | None = None,
 ) -> NormalEquations:
     """Sums J^T J, J^T r and the cost in one pass over the picture, by the free parameters.
 
     **Arguments:** `exposure`: what the picture is multiplied by, per channel. `index`: which
-    parameters are free and their order. `buckets`: what pixels show, if it is known; by device.
+    parameters are free and their order. `buffer`: the picture's shading samples, if geometry and
+    camera are fixed; without them pixels are traced at every step.
     """
+    if buffer is not None:
+        return _of_samples(scene, exposure, target, index, settings, buffer)
     if settings.sharding is None:
-        return _of_rows(scene, exposure, target, index, settings, buckets)
+        return _of_rows(scene, exposure, target, index, settings)
 
     def of_device(whole: tuple, rows: tuple) -> NormalEquations:
-        (scene, exposure, noise, settings), (image, weight, buckets) = whole, rows
+        (scene, exposure, noise, settings), (image, weight) = whole, rows
         target_ = Target(image, weight, noise, target.loss)
-        found = _of_rows(scene, exposure, target_, index, settings, buckets)
-        return lax.psum(found, settings.rows.axes)
+        found = _of_rows(scene, exposure, target_, index, settings)
+        pictures = tuple(gather_rows(p, settings.rows.axes) for p in found.pictures)
+        sums = lax.psum(eqx.tree_at(lambda n: n.pictures, found, ()), settings.rows.axes)
+        return eqx.tree_at(lambda n: n.pictures, sums, pictures)
 
     whole = scene, exposure, target.noise, settings.of_device
     # rows beyond the picture weigh nothing
-    image, weight = (pad_rows(x, settings.sharding) for x in (target.image, target.weight))
-    rows = image, weight, buckets
-    return on_devices(of_device, settings.sharding, whole, rows, joined=True)
+    rows = tuple(pad_rows(x, settings.sharding) for x in (target.image, target.weight))
+    found = on_devices(of_device, settings.sharding, whole, rows, joined=True)
+    return eqx.tree_at(
+        lambda n: n.pictures, found, tuple(p[: settings.height] for p in found.pictures)
+    )
+
+
+def _of_samples(
+    scene: Scene,
+    exposure: Float[Array, " 3"],
+    target: Target,
+    index: ParameterIndex,
+    settings: RenderSettings,
+    buffer: GBuffer,
+) -> NormalEquations:
+    """Sums by shading the samples of a picture."""
+
+    def sums_of(whole: tuple, buffer: GBuffer) -> ShadingSums:
+        scene, exposure, target, settings = whole
+        context = build_context(scene, settings, accelerated=False)
+        equations = ShadingEquations(context, target, exposure, index)
+        sums = equations.sums(buffer, settings.width * settings.height)
+        return lax.psum(sums, settings.rows.axes) if settings.rows.axes else sums
+
+    if settings.sharding is None:
+        sums = sums_of((scene, exposure, target, settings), buffer)
+    else:
+        whole = scene, exposure, target, settings.of_device
+        sums = on_devices(sums_of, settings.sharding, whole, buffer, joined=True)
+    context = build_context(scene, settings, accelerated=False)
+    equations = ShadingEquations(context, target, exposure, index)
+    square, gradient, cost = equations.by_parameters(sums.products)
+    picture = sums.seen.reshape(target.image.shape)
+    return NormalEquations(square, gradient, cost, (picture,))
 
 
 def _of_rows(
@@ -112,19 +153,18 @@ def _of_rows(
     target: Target,
     index: ParameterIndex,
     settings: RenderSettings,
-    buckets: PixelBuckets | None,
 ) -> NormalEquations:
     """Sums the part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
     context = build_context(scene, settings, accelerated=settings.antialias)
     # only the mask is used, so that XLA drops all else
     edge = render_samples(context)[1] if settings.antialias else None
     context = context.unaccelerated()
-    if buckets is None:
-        buckets = bucket_pixels(context, index, target.counts, edge)
+    buckets = bucket_pixels(context, index, target.counts, edge)
     weights = None if edge is None else filter_weights(edge, settings, scene.dtype)
     picture = BucketedPicture(context, target, exposure, buckets, weights, index)
-    n, dtype = index.size, scene.dtype
-    normal = NormalEquations(jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype))
+    n, dtype = index.size, jnp.promote_types(scene.dtype, jnp.result_type(float))
+    sums = jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype)
+    normal = NormalEquations(*sums, (jnp.zeros_like(target.image),))
     normal = _add_single(_add_still(normal, picture), picture)
     # with edges covered, pixels whose samples differ have edges
     if settings.bounces or (settings.samples > 1 and not settings.antialias):
@@ -158,11 +198,12 @@ def _add_bucket(
         if picture.index.exposure is not None:
             parts.append(jnp.eye(3, dtype=seen.dtype)[:, :, None] * by_exposure[0].T[None])
         # with the residual as one more column all products are one
-        both = jnp.concatenate([*parts, residual[None]])
+        both = jnp.concatenate([*parts, residual[None]]).astype(normal.cost.dtype)
         both = both.reshape(len(both), -1)
         products = both @ both.T
         square, gradient = products[:-1, :-1], products[:-1, -1]
-        return normal.plus(columns, square, gradient, products[-1, -1] / 2)
+        at = jnp.where(alive, pixels, picture.buckets.order.size)
+        return normal.plus(columns, square, gradient, products[-1, -1] / 2).with_seen(at, seen)
 
     return picture.fold(label, add_chunk, normal, count)
 
@@ -174,24 +215,16 @@ def _add_still(normal: NormalEquations, picture: BucketedPicture) -> NormalEquat
         color = picture.near(look_at_sky, picture.context, pixels, alive)
         return jnp.stack([color.x, color.y, color.z])
 
-    def add_squares(squares: Array, pixels: Ids, alive: Mask, target: Target) -> Array:
-        return squares + target.residual(seen(pixels, alive).T[None], picture.exposure) ** 2
-
-    if picture.index.exposure is None:
-        # added up pixel by pixel of a chunk, and only then all (9.4 ms, not 10.3)
-        start = jnp.zeros((1, MOST, 3), picture.context.dtype)
-        cost = jnp.sum(picture.fold(STILL, add_squares, start, MOST)) / 2
-        return eqx.tree_at(lambda n: n.cost, normal, normal.cost + cost)
     none = lambda slope: jnp.zeros((0, *slope.shape), slope.dtype)
     look = lambda pixels, alive: (seen(pixels, alive), none)
-    return _add_bucket(normal, picture, STILL, jnp.asarray(picture.index.exposure), look, MOST)
+    exposure = picture.index.exposure
+    columns = jnp.zeros(0, jnp.int32) if exposure is None else jnp.asarray(exposure)
+    return _add_bucket(normal, picture, STILL, columns, look, MOST)
 
 
 def _add_single(normal: NormalEquations, picture: BucketedPicture) -> NormalEquations:
     """Adds the pixels that show one object each, object by object."""
     context, index = picture.context, picture.index
-    if uses_gram(index, context.settings, len(context.scene.lights)):
-        return _add_gram(normal, picture)
     tables = context.tables
 
     def add_object(number: Int[Array, ""], normal: NormalEquations) -> NormalEquations:
@@ -207,51 +240,6 @@ def _add_single(normal: NormalEquations, picture: BucketedPicture) -> NormalEqua
         )
 
     return lax.fori_loop(0, len(index.each), add_object, normal)
-
-
-def _add_gram(normal: NormalEquations, picture: BucketedPicture) -> NormalEquations:
-    """Adds the pixels that show one object each, by Gram matrices of their shading.
-
-    Chunks of several objects are summed side by side.
-    """
-    context, index, buckets = picture.context, picture.index, picture.buckets
-    count = len(index.each) - 1
-    begin, end = buckets.bounds(jnp.arange(count, dtype=jnp.int32))
-    chunks = -((begin - end) // MOST)
-    ends = prefix_sum(chunks)
-    # of small pictures fewer, or the last of them are mostly empty
-    abreast = max(1, min(CHUNKS_ABREAST, buckets.order.size // (8 * MOST)))
-    shading = lambda number: LinearShading(context, number, index)
-
-    def add_chunks(k: Index, sums: Gram) -> Gram:
-        chunk = k * abreast + jnp.arange(abreast, dtype=jnp.int32)
-        number = jnp.searchsorted(ends, chunk, side="right").astype(jnp.int32)
-        number = jnp.minimum(number, count - 1)
-        begins = begin[number] + (chunk - (ends - chunks)[number]) * MOST
-        place = begins[:, None] + jnp.arange(MOST, dtype=jnp.int32)[None]
-        pixels = buckets.order.at[place].get(mode="clip")
-        target = picture.target_at(pixels, place < end[number][:, None])
-        basis = shading(number).basis(pixels)
-        factors = jax.vmap(lambda number: shading(number).factors())(number)
-        # term by term: for a product of matrices, and channel by channel for `gram`, all of it
-        # would be copied (10.3 ms, not 11.3)
-        term, *others = (
-            basis[:, j, :, None] * factors[:, None, :, j] for j in range(factors.shape[2])
-        )
-        seen = sum(others, term)
-        residual = target.residual(seen, picture.exposure)
-        slope, _ = target.slopes(seen, picture.exposure)
-        split = lambda x: [x[..., c] for c in range(3)]
-        return sums.at[number].add(gram(basis, split(slope), split(residual)))
-
-    def add_object(number: Index, normal: NormalEquations) -> NormalEquations:
-        added = shading(number).by_columns(sums[number])
-        return normal.plus(jnp.asarray(index.each)[number], *added)
-
-    size = shading(jnp.int32(0)).size + 1
-    sums = jnp.zeros((count, 3, size, size), context.dtype)
-    sums = lax.fori_loop(0, -(-ends[-1] // abreast), add_chunks, sums)
-    return lax.fori_loop(0, count, add_object, normal)
 
 
 def _add_mixed(

@@ -13,9 +13,7 @@ from ...base.types import Highlight
 from ...scene.needs import needs
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings, render_settings
-from ...tracing.context import build_context
-from ...xla.jit import compiled
-from ...xla.sharding import gather_on_host, on_devices, replicate
+from ...xla.sharding import device_count, divide, gather_on_host, replicate
 from ..model.parameters import (
     CAMERA,
     GEOMETRY,
@@ -26,8 +24,7 @@ from ..model.parameters import (
     value,
 )
 from ..model.target import make_target
-from ..normal_equations.parameter_index import ParameterIndex
-from ..normal_equations.pixel_buckets import PixelBuckets, bucket_pixels
+from ..normal_equations.gbuffer import GBuffer, make_gbuffer
 from .problem import Problem
 
 # What a picture may have apart from other pictures of the same spheres.
@@ -86,25 +83,18 @@ def make_problem(
         targets.append(made)
     scenes, targets = replicate((scenes, targets), settings[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
-    buckets = tuple(
-        _buckets(one, free, s) if fixed and not s.antialias else None
-        for one, s in zip(scenes, settings, strict=True)
+    buffers = tuple(
+        _buffer(one, s) if fixed else None for one, s in zip(scenes, settings, strict=True)
     )
-    return Problem(parameters, tuple(targets), tuple(settings), buckets, names)
+    return Problem(parameters, tuple(targets), tuple(settings), buffers, names)
 
 
-@compiled
-def _buckets(scene: Scene, free: tuple[str, ...], settings: RenderSettings) -> PixelBuckets:
+def _buffer(scene: Scene, settings: RenderSettings) -> GBuffer:
     # of all pixels: the target of a problem may be replaced by one of which others count
-    index = ParameterIndex(scene, free)
     if settings.sharding is None:
-        return bucket_pixels(build_context(scene, settings, accelerated=False), index)
-
-    def of_device(scene: Scene, _: None) -> PixelBuckets:
-        context = build_context(scene, settings.of_device, accelerated=False)
-        return bucket_pixels(context, index)
-
-    return on_devices(of_device, settings.sharding, scene)
+        return make_gbuffer(scene, settings)
+    buffer = make_gbuffer(scene, settings, device_count(settings.sharding))
+    return divide(buffer, settings.sharding)
 
 
 def _for_each(name: str, value: Any, count: int) -> list:

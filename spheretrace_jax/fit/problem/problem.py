@@ -16,9 +16,9 @@ from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
 from ..model.parameters import ACCESSORS, Parameters
 from ..model.target import Target
+from ..normal_equations.gbuffer import GBuffer
 from ..normal_equations.normal_equations import NormalEquations, normal_equations
 from ..normal_equations.parameter_index import ParameterIndex
-from ..normal_equations.pixel_buckets import PixelBuckets
 
 # Coarse to fine: each coarser picture's pixels are `_COARSENING` times as wide, an odd number, so
 # that boxes have middles; wider pixels allow longer steps and tell less. A picture is coarsened
@@ -36,7 +36,8 @@ class Problem(eqx.Module):
     parameters: tuple[Parameters, ...]  #: one for each picture
     targets: tuple[Target, ...]
     settings: tuple[RenderSettings, ...]
-    buckets: tuple[PixelBuckets | None, ...]  #: what pixels show, if that is fixed; by device
+    #: the pictures' shading samples, where geometry and camera are fixed
+    buffers: tuple[GBuffer | None, ...]
     per_picture: frozenset[str] = eqx.field(static=True)  #: names with an array for each picture
 
     def start(self) -> PyTree:
@@ -154,19 +155,21 @@ class Problem(eqx.Module):
 
     def normal(self, values: PyTree) -> NormalEquations:
         """Returns the normal equations by the unknowns, in the order of `ravel_pytree`."""
-        sums = []
+        sums, pictures = [], []
         for k, (scene, exposure) in enumerate(self.scenes_at(values)):
             by_parameters = normal_equations(
-                scene, exposure, self.targets[k], self.index(k), self.settings[k], self.buckets[k]
+                scene, exposure, self.targets[k], self.index(k), self.settings[k], self.buffers[k]
             )
-            jacobian = self.parameter_jacobian(values, k)
+            jacobian = self.parameter_jacobian(values, k).astype(by_parameters.cost.dtype)
+            pictures += by_parameters.pictures
             by_unknowns = NormalEquations(
                 jacobian.T @ by_parameters.square @ jacobian,
                 jacobian.T @ by_parameters.gradient,
                 by_parameters.cost,
             )
             sums.append(by_unknowns)
-        return jax.tree.map(lambda *x: sum(x[1:], x[0]), *sums)
+        total = jax.tree.map(lambda *x: sum(x[1:], x[0]), *sums)
+        return eqx.tree_at(lambda n: n.pictures, total, tuple(pictures))
 
     def parameter_jacobian(self, values: PyTree, k: int) -> Float[Array, "natural free"]:
         """Returns the derivatives of picture k's free parameters by the unknowns.
@@ -191,7 +194,16 @@ def _box_means(problem: Problem, side: int) -> Problem:
     return eqx.tree_at(leaves, problem, [*targets, *boxes])
 
 
-@compiled
 def normal_at(problem: Problem, values: PyTree) -> NormalEquations:
-    """Returns `Problem.normal`, compiled, for callers on the host."""
+    """Returns `Problem.normal`, compiled, its sums in double precision; for callers on the host.
+
+    Rows of J are computed in the scene's dtype. Of their products in float32 the squares of what
+    shows little would be lost among the rounding errors of what shows much.
+    """
+    with jax.enable_x64(True):
+        return _normal_at(problem, values)
+
+
+@compiled
+def _normal_at(problem: Problem, values: PyTree) -> NormalEquations:
     return problem.normal(values)

@@ -43,7 +43,9 @@ class _Linearization(eqx.Module):
 
 @compiled
 def _linearize(normal: NormalEquations, values: PyTree) -> _Linearization:
-    return _Linearization(ravel_pytree(values)[0], *compress(normal))
+    y, _ = ravel_pytree(values)
+    residual, jacobian = compress(normal)
+    return _Linearization(y, residual.astype(y.dtype), jacobian.astype(y.dtype))
 
 
 def _linear_residual(
@@ -200,7 +202,9 @@ class Driver:
         """Returns what the residual function needs where it is evaluated next."""
         if self.fn is not _linear_residual:
             return problem
-        return _linearize(normal_at(problem, values), values)
+        normal = eqx.tree_at(lambda n: n.pictures, normal_at(problem, values), ())
+        with jax.enable_x64(True):  # as the sums are in double precision
+            return _linearize(normal, values)
 
     def _report(self, problem: Problem, values: PyTree, state: Any) -> None:
         if self.callback is None:

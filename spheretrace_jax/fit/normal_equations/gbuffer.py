@@ -1,0 +1,195 @@
+"""`GBuffer`: shading samples, and the rows of a picture's Jacobian as sums of them.
+
+Most pixels show one object: their rows have its columns alone, and come in chunks of one object
+each. The rows of all other pixels have columns for every object.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from ...rendering.pixel_filter import filter_weights
+from ...rendering.shading_samples import (
+    LayerSample,
+    PointSample,
+    ShadingSamples,
+    trace_samples,
+)
+from ...scene.scene import Scene
+from ...scene.settings import RenderSettings
+from ...xla.jit import compiled
+from .cells import (
+    CELLS,
+    SAMPLES,
+    Arranged,
+    CellList,
+    Cells,
+    Entries,
+    arrange_in_chunks,
+    arrange_in_groups,
+    make_entries,
+    with_black,
+)
+
+#: Samples that are shaded at a time: of points, and of layers, whose shadows have edges.
+POINTS, LAYERS = 1 << 14, 1 << 11
+
+# Pictures are cut into strips of at most so many samples of pixels, so that temporary arrays stay
+# small: 12 numbers for each. Smaller strips repeat more of the rows beside them.
+_STRIP = 1 << 19
+
+
+class Rows(eqx.Module):
+    """Rows as sums of cells, in chunks of one object each, or in groups of several."""
+
+    cells: Cells
+    pixel: Int[Array, "*strips groups rows"]  #: the number of pixels for no row
+    count: Int[Array, "*strips"]  #: how many groups there are
+
+
+class GBuffer(eqx.Module):
+    """The shading samples and rows of a picture; arrays have an axis for strips in front."""
+
+    points: PointSample
+    layers: LayerSample | None
+    point_count: Int[Array, " strips"]
+    layer_count: Int[Array, " strips"]
+    alone: Rows  #: of pixels that show one object: `(strips, chunks, CHUNK)`
+    several: Rows  #: of all others: `(strips, groups, CELLS)`
+
+    @property
+    def strips(self) -> int:
+        """Returns the number of strips."""
+        return len(self.point_count)
+
+
+def make_gbuffer(scene: Scene, settings: RenderSettings, devices: int = 1) -> GBuffer:
+    """Traces a picture's shading samples and arranges its rows, from the host.
+
+    It takes some 60 bytes for each point and 260 for each layer, and for each row 8 bytes a sample.
+
+    **Arguments:** `devices`: the number of strips is a multiple of it.
+    """
+    samples, weights, reach = trace_samples(scene, settings), None, settings.samples**2
+    if settings.antialias:
+        weights, reach = np.asarray(_filter_weights(scene, samples.edge, settings)), 5 * reach
+    entries = make_entries(
+        samples.point_contribution, samples.layer_contribution, weights, settings.width
+    )
+    strips = -(-settings.width * settings.height * settings.samples**2 // _STRIP)
+    strips = -(-strips // devices) * devices
+    bounds = np.linspace(0, settings.height, strips + 1).astype(int) * settings.width
+    known = not settings.needs.dark_paths
+    parts = [
+        _Strip(samples, entries.between(begin, end), scene.objects, known, begin, end)
+        for begin, end in zip(bounds[:-1], bounds[1:], strict=True)
+    ]
+    most = max(part.cells.most_in_a_pixel(SAMPLES) for part in parts)
+    most = max(CELLS, 1 << (most - 1).bit_length())
+    pixels = settings.width * settings.height
+    return _stacked(
+        [part.points for part in parts],
+        None if samples.layers is None else [part.layers for part in parts],
+        [part.alone(reach, pixels) for part in parts],
+        [part.several(min(SAMPLES, reach), pixels, most) for part in parts],
+    )
+
+
+@compiled
+def _filter_weights(scene: Scene, edge: Array, settings: RenderSettings) -> Array:
+    return filter_weights(edge, settings, scene.dtype)
+
+
+class _Strip:
+    """A strip of the picture in NumPy arrays, before it has the size of the largest."""
+
+    def __init__(
+        self,
+        samples: ShadingSamples,
+        entries: Entries,
+        background: int,
+        known: bool,
+        begin: int,
+        end: int,
+    ):
+        used, number = np.unique(entries.sample, return_inverse=True)
+        points, layers = used[used >= 0], -1 - used[used < 0][::-1]
+        entries = entries._replace(sample=number - len(layers))
+        object_, turns = _objects_and_turns(samples, points, layers)
+        object_ = np.where(object_ < 0, background, object_)
+        turns = turns[:, :0] if known else turns
+        # a negative number counts from the end, as layers do
+        self.cells = CellList(entries, object_[entries.sample], turns[entries.sample])
+        self.only, self.known, self.background = self.cells.only_cells(), known, background
+        self.black = np.setdiff1d(np.arange(begin, end), self.cells.pixel)
+        self.points, self.layers = _take(samples.points, points), _take(samples.layers, layers)
+
+    def alone(self, reach: int, pixels: int) -> Arranged:
+        """Arranges the rows of pixels with one cell, and black ones."""
+        cells = self.cells.cells(np.flatnonzero(self.only), reach, self.known)
+        return arrange_in_chunks(*with_black(*cells, self.black, self.background), pixels)
+
+    def several(self, samples: int, pixels: int, most: int) -> Arranged:
+        """Arranges the rows of all other pixels."""
+        cells = self.cells.cells(np.flatnonzero(~self.only), samples, self.known)
+        return arrange_in_groups(*cells, pixels, most)
+
+
+def _objects_and_turns(
+    samples: ShadingSamples, points: np.ndarray, layers: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the objects and turns of samples: of points, then of layers from the last one on."""
+    ids, turns = samples.points.hit.id[points], samples.point_contribution.turns[points]
+    if samples.layers is not None:
+        back = layers[::-1]
+        ids = np.concatenate([ids, samples.layers.layer.hit.id[back]])
+        turns = np.concatenate([turns, samples.layer_contribution.turns[back]])
+    return ids.astype(np.int32), turns
+
+
+def _stacked(
+    points: list[PointSample],
+    layers: list[Any] | None,
+    alone: list[Arranged],
+    several: list[Arranged],
+) -> GBuffer:
+    """Stacks strips, filled up to the size of the largest, and that to one of few sizes."""
+    count = lambda trees: np.array([len(jax.tree.leaves(t)[0]) for t in trees], np.int32)
+    point_count, layer_count = count(points), np.zeros(len(points), np.int32)
+    first_layer, stacked_layers = _size(point_count, POINTS), None
+    if layers is not None:
+        layer_count = count(layers)
+        stacked_layers = _stack(layers, _size(layer_count, LAYERS))
+
+    def rows(arranged: list[Arranged]) -> Rows:
+        counts = count([pixel for _, pixel in arranged])
+        cells, pixel = _stack(arranged, _size(counts, 1))
+        sample = np.where(cells.sample < 0, first_layer - 1 - cells.sample, cells.sample)
+        cells = eqx.tree_at(lambda c: c.sample, cells, sample.astype(np.int32))
+        return Rows(cells, pixel.astype(np.int32), counts)
+
+    stacked_points = _stack(points, first_layer)
+    buffer = GBuffer(
+        stacked_points, stacked_layers, point_count, layer_count, rows(alone), rows(several)
+    )
+    return jax.tree.map(jnp.asarray, buffer)
+
+
+def _stack(trees: list[Any], size: int) -> Any:
+    """Stacks trees of rows, each filled up with zeros."""
+    fill = lambda x: np.concatenate([x, np.zeros((size - len(x), *x.shape[1:]), x.dtype)])
+    return jax.tree.map(lambda *x: np.stack([fill(one) for one in x]), *trees)
+
+
+def _size(counts: np.ndarray, block: int) -> int:
+    """Returns a size for all: blocks by a power of two, so that few sizes are compiled."""
+    blocks = -(-int(counts.max()) // block)
+    return block << max(0, blocks - 1).bit_length()
+
+
+def _take(tree: Any, rows: np.ndarray) -> Any:
+    return jax.tree.map(lambda x: x[rows], tree)

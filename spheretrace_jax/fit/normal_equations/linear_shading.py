@@ -1,0 +1,217 @@
+"""Linear shading: colours as linear functions of a few numbers for each shading sample.
+
+With the lecture's C = ka A S + sum_l C_l (kd u_l S + ks h_l), u_l = lit N.L and h_l the highlight,
+a sample's colour is linear in X = (1, u_l, h_l), with factors that are the same for all samples of
+an object. So are its derivatives: X, the derivatives of u_l and h_l by the light's position, and
+that of h_l by the exponent, are all that a step evaluates.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ...base.types import Ids, Index, PixelArray
+from ...base.vec import Vec, components, grey, vec, where, zeros
+from ...tracing.context import TraceContext
+from ...tracing.hit import Hit, Surface
+from ...tracing.material import MOST_LIGHTS, local_color, sum_lights
+from .jacobian_rows import TABLE_COLUMNS
+from .parameter_index import ParameterIndex
+
+Terms = Callable[[Vec, bool, PixelArray], tuple[PixelArray, PixelArray]]
+"""From a light's position, whether it may be blocked, and exponents, to u and h of samples."""
+
+Basis = Float[Array, "channels numbers *n"]
+"""The numbers of samples; one channel stands for all three where nothing is tinted."""
+
+
+class LinearShading(eqx.Module):
+    """What colours and their derivatives are made of.
+
+    The numbers of a sample, its basis: 1, all u, all h (these are X); the derivatives of all h by
+    the exponent (with X these make up the columns of the object); then, light by light, the
+    derivatives of all u by the position, and those of all h.
+    """
+
+    context: TraceContext
+    index: ParameterIndex = eqx.field(static=True)
+
+    @property
+    def lights(self) -> int:
+        """Returns the number of lights."""
+        return len(self.context.scene.lights)
+
+    @property
+    def shines(self) -> bool:
+        """Tells whether there are highlights."""
+        return self.context.needs.highlights
+
+    @property
+    def linear(self) -> int:
+        """Returns the size of X."""
+        return 1 + (1 + self.shines) * self.lights
+
+    @property
+    def own(self) -> int:
+        """Returns how many of the numbers make up the columns of an object."""
+        by_exponent = self.shines and "exponent" in self.index.spheres
+        return self.linear + self.lights * by_exponent
+
+    @property
+    def by_position(self) -> int:
+        """Returns how many free numbers the lights' positions have."""
+        return 3 * self.lights if "light_position" in self.index.lights else 0
+
+    @property
+    def numbers(self) -> int:
+        """Returns the size of the basis."""
+        return self.own + (1 + self.shines) * self.by_position
+
+    def basis(self, ids: Ids, terms: Terms, tint: Vec | None) -> Basis:
+        """Returns the numbers of samples. **Arguments:** `ids`: of the objects that they show."""
+        context, lights = self.context, self.context.scene.lights
+        exponent = context.material(ids, lambda m: m.exponent)
+        of_light = lambda place, shadows: self._of_light(terms, place, exponent, shadows)
+        if self.lights <= MOST_LIGHTS:
+            flags = [context.needs.shadows_of(k) for k in range(self.lights)]
+            each = [of_light(*pair) for pair in zip(lights.position, flags, strict=True)]
+            parts = [jnp.concatenate(x) for x in zip(*each, strict=True)]
+        else:
+            each = lax.map(lambda place: of_light(place, context.needs.shadows), lights.position)
+            parts = [x.reshape(-1, *ids.shape) for x in each]
+        one = jnp.ones((1, *ids.shape), context.dtype)
+        u, h, by_exponent, u_slope, h_slope = parts or [one[:0]] * 5
+        u = jnp.concatenate([one, u])
+        channels = (1,) if tint is None else components(tint)
+        numbers = [(u * t, h, by_exponent, u_slope * t, h_slope) for t in channels]
+        return jnp.stack([jnp.concatenate(x) for x in numbers])
+
+    def _of_light(
+        self, terms: Terms, place: Float[Array, " 3"], exponent: PixelArray, shadows: bool
+    ) -> tuple[Float[Array, "_ *n"], ...]:
+        """Returns of one light u, h, h by the exponent, and u and h by the position."""
+        none = jnp.zeros((0, *exponent.shape), exponent.dtype)
+        at = lambda place: terms(vec(place), shadows, exponent)
+        if self.by_position:
+            by = lambda step: jax.jvp(at, (place,), (step,))
+            steps = jnp.eye(3, dtype=place.dtype)
+            (u, h), (u_slope, h_slope) = jax.vmap(by, out_axes=(None, 0))(steps)
+        else:
+            (u, h), u_slope, h_slope = at(place), none, none
+        if not self.shines:
+            return u[None], none, none, u_slope, none
+        by_exponent = none
+        if self.own > self.linear:
+            of = lambda n: terms(vec(place), shadows, n)[1]
+            by_exponent = jax.jvp(of, (exponent,), (jnp.ones_like(exponent),))[1][None]
+        return u[None], h[None], by_exponent, u_slope, h_slope
+
+    def seen(self, basis: Basis, factors: Float[Array, "3 x *n"]) -> Float[Array, "3 *n"]:
+        """Returns the colours of samples. **Arguments:** `factors`: of the samples' objects."""
+        return jnp.sum(factors * basis[:, : self.linear], axis=1)
+
+    def light_columns(
+        self, basis: Basis, factors: Float[Array, "3 x *n"]
+    ) -> Float[Array, "3 positions *n"]:
+        """Returns the derivatives of the colours by the lights' positions."""
+        slopes, count = basis[:, self.own :], self.by_position
+        if not count:
+            return jnp.zeros((3, *slopes.shape[1:]), slopes.dtype)
+        of_lights = lambda first: jnp.repeat(factors[:, first : first + self.lights], 3, axis=1)
+        columns = of_lights(1) * slopes[:, :count]
+        return columns + of_lights(1 + self.lights) * slopes[:, count:] if self.shines else columns
+
+    # -- of objects
+
+    def factors(self, number: Index, free: dict[str, Any] | None = None) -> Float[Array, "3 x"]:
+        """Returns the factors of X of one object; those of the background are 1 and 0.
+
+        What textures, planes and the background say is in the samples' tint.
+
+        **Arguments:** `free`: other values of what is free: of the object, and the lights' colours.
+        """
+        scene, free = self.context.scene, {} if free is None else free
+        needs = dataclasses.replace(self.context.needs, textures=False, checkers=False)
+        context = self.context.with_settings(needs=needs)
+        row = context.tables.shared.row(jnp.asarray(number, jnp.int32))
+        is_plane, materials = context.tables.is_plane(number), row.materials
+        color = where(is_plane, grey(jnp.ones_like(materials.ka)), materials.color)
+        row = eqx.tree_at(lambda r: r.materials.color, row, color)
+        if names := [name for name in free if name in TABLE_COLUMNS]:
+            at = lambda row: [TABLE_COLUMNS[name](row) for name in names]
+            row = eqx.tree_at(at, row, [free[name] for name in names])
+        context = context.with_pixel_tables(row)
+        if "light_color" in free:
+            lights = eqx.tree_at(lambda lights: lights.color, scene.lights, free["light_color"])
+            context = context.with_lights(lights)
+        hit = Hit(jnp.asarray(number, context.tables.id_type), jnp.array(False))
+        nothing = zeros((), scene.dtype)
+        nowhere = Surface(nothing, nothing, nothing.x)
+
+        def color_of(terms: Float[Array, "2 lights"]) -> Float[Array, " 3"]:
+            light_by_light = iter(terms.T)
+            most = self.lights
+            sums = sum_lights(context, (), lambda *_: tuple(next(light_by_light)), most)
+            return jnp.stack(components(local_color(context, hit, nowhere, sums)))
+
+        dark = jnp.zeros((2, self.lights), scene.dtype)
+        by_terms = jax.jacrev(color_of)(dark)[:, : 1 + self.shines].reshape(3, -1)
+        factors = jnp.concatenate([color_of(dark)[:, None], by_terms], axis=1)
+        background = jnp.zeros_like(factors).at[:, 0].set(1)
+        return jnp.where(number < context.tables.object_count, factors, background)
+
+    def all_factors(self) -> Float[Array, "objects 3 x"]:
+        """Returns the factors of all objects and of the background."""
+        numbers = jnp.arange(self.context.tables.object_count + 1, dtype=jnp.int32)
+        return jax.vmap(self.factors)(numbers)
+
+    def sphere_columns(self) -> tuple[Float[Array, "3 spheres own columns"], np.ndarray]:
+        """Returns what the columns of each sphere are as multiples of its numbers.
+
+        And the columns' places among all free parameters, `(spheres, columns)`.
+        """
+        names = [name for name in self.index.spheres if name not in ("kgr", "kt", "exponent")]
+        count = self.context.tables.sphere_count
+        numbers = jnp.arange(count, dtype=jnp.int32)
+
+        def of_sphere(number: Index) -> Float[Array, "3 own columns"]:
+            row = self.context.tables.shared.row(number)
+            start = {name: TABLE_COLUMNS[name](row) for name in names}
+            by = jax.jacrev(lambda free: self.factors(number, free))(start)
+            leaves = [leaf for name in names for leaf in jax.tree.leaves(by[name])]
+            parts = [leaf.reshape(3, self.linear, -1) for leaf in leaves]
+            none = jnp.zeros((3, self.linear, 0), self.context.dtype)
+            columns = jnp.concatenate([none, *parts], axis=2)
+            columns = jnp.pad(columns, ((0, 0), (0, self.own - self.linear), (0, 0)))
+            if "exponent" not in self.index.spheres:
+                return columns
+            shine = self.factors(number)[:, 1 + self.lights :]
+            column = jnp.pad(shine, ((0, 0), (self.linear, 0)))[:, : self.own, None]
+            return jnp.concatenate([columns, column], axis=2)
+
+        names += ["exponent"] if "exponent" in self.index.spheres else []
+        places = [self.index.spheres[name].reshape(count, -1) for name in names]
+        places = np.concatenate([np.zeros((count, 0), int), *places], axis=1)
+        return jnp.moveaxis(jax.vmap(of_sphere)(numbers), 0, 1), places
+
+    def color_columns(self) -> Float[Array, "3 objects own columns"]:
+        """Returns what the columns of the lights' colours are as multiples of objects' numbers."""
+        objects = self.context.tables.object_count + 1
+        if "light_color" not in self.index.lights:
+            return jnp.zeros((3, objects, self.own, 0), self.context.dtype)
+        colors = self.context.scene.lights.color
+
+        def of_object(number: Index) -> Float[Array, "3 own columns"]:
+            by = jax.jacrev(lambda c: self.factors(number, {"light_color": c}))(colors)
+            return jnp.pad(
+                by.reshape(3, self.linear, -1), ((0, 0), (0, self.own - self.linear), (0, 0))
+            )
+
+        return jnp.moveaxis(jax.vmap(of_object)(jnp.arange(objects, dtype=jnp.int32)), 0, 1)

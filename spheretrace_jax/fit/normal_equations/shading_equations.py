@@ -1,0 +1,311 @@
+"""The normal equations of shading: geometry is traced once, and each step only shades and sums.
+
+The products of all numbers of which rows of J are made are summed, whatever is free; the chain
+rule to the free parameters is applied to the sums. Products are summed in double precision where
+JAX has it, so that what shows little is not lost among the rounding errors of what shows much.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ...antialiasing.compositing import layer_light_terms
+from ...base.types import Index, Picture
+from ...rendering.shading_samples import LayerSample, PointSample
+from ...scene.camera import Ray
+from ...tracing.context import TraceContext
+from ...tracing.path import all_turns, light_terms_at
+from ...xla.loops import keep_loop_parallel, loop
+from ..model.target import Target
+from .cells import CHUNK, ROWS, Cells
+from .gbuffer import LAYERS, POINTS, GBuffer, Rows
+from .linear_shading import Basis, LinearShading
+from .parameter_index import ParameterIndex
+
+# Chunks of rows of one object that are summed at a time, side by side.
+_CHUNKS = 1 << 4
+
+
+class ShadingSums(eqx.Module):
+    """Sums of products of the numbers of which the rows of J are made, for each channel.
+
+    These are, in order: the numbers of each object and of the background; the columns of the
+    lights' positions; those of kgr and kt (`all_turns`), if they are free; that of the exposure, if
+    it is free; and the residual.
+    """
+
+    products: Float[Array, "3 all all"]
+    seen: Float[Array, "pixels 3"]  #: the picture
+
+
+class ShadingEquations(eqx.Module):
+    """Sums the products of one strip of a picture after another."""
+
+    shading: LinearShading
+    target: Target
+    exposure: Float[Array, " 3"]
+    factors: Float[Array, "objects 3 x"]
+    turns: Float[Array, " turns"] | None  #: kgr and kt, if they are free
+
+    def __init__(
+        self,
+        context: TraceContext,
+        target: Target,
+        exposure: Float[Array, " 3"],
+        index: ParameterIndex,
+    ):
+        self.shading = LinearShading(context, index)
+        self.target, self.exposure = target, exposure
+        self.factors = self.shading.all_factors()
+        self.turns = all_turns(context) if context.needs.dark_paths else None
+
+    @property
+    def index(self) -> ParameterIndex:
+        """Returns where the free parameters are."""
+        return self.shading.index
+
+    @property
+    def objects(self) -> int:
+        """Returns the number of objects, the background included."""
+        return len(self.factors)
+
+    @property
+    def extras(self) -> int:
+        """Returns how many numbers a row has beside those of objects; the last one the residual."""
+        turns = 0 if self.turns is None else self.turns.size
+        return self.shading.by_position + turns + (self.index.exposure is not None) + 1
+
+    def sums(self, buffer: GBuffer, pixels: int) -> ShadingSums:
+        """Sums the products of all strips."""
+        size = self.objects * self.shading.own + self.extras
+        dtype = jnp.promote_types(self.shading.context.dtype, jnp.result_type(float))
+        start = ShadingSums(
+            jnp.zeros((3, size, size), dtype), jnp.zeros((pixels, 3), self.shading.context.dtype)
+        )
+        if len(buffer.point_count) == 1:
+            return self._add_strip(start, jax.tree.map(lambda x: x[0], buffer))[0]
+        return lax.scan(self._add_strip_of(), start, buffer)[0]
+
+    def _add_strip_of(self):
+        # no bound method: `scan` hashes its function, and a module of arrays has no hash
+        return lambda sums, strip: self._add_strip(sums, strip)
+
+    def _add_strip(self, sums: ShadingSums, strip: GBuffer) -> tuple[ShadingSums, None]:
+        basis = self._bases(strip.points, strip.point_count, POINTS, self._point_basis)
+        if strip.layers is not None:
+            layers = self._bases(strip.layers, strip.layer_count, LAYERS, self._layer_basis)
+            basis = jnp.concatenate([basis, layers], axis=2)
+        sums = self._add_alone(sums, strip.alone, basis)
+        return self._add_several(sums, strip.several, basis), None
+
+    # -- samples
+
+    def _bases(self, samples, count: Int[Array, ""], size: int, of_block) -> Basis:
+        """Returns the numbers of all samples, `size` of them at a time."""
+        total = len(jax.tree.leaves(samples)[0])
+        block = lambda k: jax.tree.map(
+            lambda x: lax.dynamic_slice_in_dim(x, k * size, size), samples
+        )
+        shape = jax.eval_shape(lambda: of_block(block(0))).shape
+        basis = jnp.zeros((*shape[:2], total), self.shading.context.dtype)
+
+        def add(k: Index, basis: Basis) -> Basis:
+            k = keep_loop_parallel(k)
+            return lax.dynamic_update_slice_in_dim(basis, of_block(block(k)), k * size, axis=2)
+
+        return lax.fori_loop(0, -(-count // size), add, basis)
+
+    def _point_basis(self, point: PointSample) -> Basis:
+        context = self.shading.context
+        # only where rays come from is not known any more, and shading does not ask
+        ray = Ray(point.surface.point, point.direction)
+        terms = lambda light, shadows, exponent: light_terms_at(
+            context, ray, point.hit, light, shadows, exponent, point.surface
+        )
+        return self.shading.basis(point.hit.id, terms, point.tint)
+
+    def _layer_basis(self, sample: LayerSample) -> Basis:
+        terms = partial(layer_light_terms, self.shading.context, sample.layer)
+        return self.shading.basis(sample.layer.hit.id, terms, sample.tint)
+
+    # -- rows
+
+    def _cell_basis(self, cells: Cells, basis: Basis) -> Basis:
+        """Returns the numbers of cells: weighted sums of those of their samples."""
+
+        # sample by sample: gathered at once, and then summed, it takes 70 times as long
+        def add(k: Index, total: Basis) -> Basis:
+            sample, weight = cells.sample[..., k], cells.weight[..., k]
+            return total + basis.at[:, :, sample].get(mode="promise_in_bounds") * weight
+
+        start = jnp.zeros((*basis.shape[:2], *cells.row.shape), basis.dtype)
+        return loop(cells.sample.shape[-1], add, start)
+
+    def _extra_rows(
+        self, extras: list[Float[Array, "3 _ *rows"]], seen: Float[Array, "3 *rows"], pixel: Array
+    ) -> tuple[list[Array], Float[Array, "3 *rows"]]:
+        """Returns what rows have beside the numbers of objects, and the slope that scales these.
+
+        **Arguments:** `extras`: columns before they are scaled. `pixel`: of each row.
+        """
+        take = lambda x: x.reshape(-1, 3).at[pixel].get(mode="fill", fill_value=0)
+        target = self.target
+        here = Target(take(target.image), take(target.weight), target.noise, target.loss)
+        picture = jnp.moveaxis(seen, 0, -1)
+        # as a picture of one row more
+        lift = lambda x: x.reshape(1, -1, 3)
+        here = Target(lift(here.image), lift(here.weight), here.noise, here.loss)
+        residual = here.residual(lift(picture), self.exposure)
+        by_picture, by_exposure = here.slopes(lift(picture), self.exposure)
+        lower = lambda x: jnp.moveaxis(x.reshape(*pixel.shape, 3), -1, 0)
+        slope = lower(by_picture)
+        extras = [x * slope[:, None] for x in extras]
+        if self.index.exposure is not None:
+            extras.append(lower(by_exposure)[:, None])
+        return [*extras, lower(residual)[:, None]], slope
+
+    def _add_alone(self, sums: ShadingSums, rows: Rows, basis: Basis) -> ShadingSums:
+        """Adds pixels that show one object each, chunk by chunk."""
+        shading, own = self.shading, self.shading.own
+        numbers = jnp.arange(own + self.extras, dtype=jnp.int32)
+
+        def add(k: Index, sums: ShadingSums) -> ShadingSums:
+            k = keep_loop_parallel(k)
+            at = k * _CHUNKS + jnp.arange(_CHUNKS, dtype=jnp.int32)
+            cells, pixel = jax.tree.map(
+                lambda x: x.at[at].get(mode="clip"), (rows.cells, rows.pixel)
+            )
+            pixel = jnp.where((at < rows.count)[:, None], pixel, len(sums.seen))
+            object_ = cells.object[:, 0]
+            factors = jnp.moveaxis(self.factors[object_], 0, -1)[..., None]
+            of_cells = self._cell_basis(cells, basis)
+            seen = shading.seen(of_cells, factors)
+            extras = [shading.light_columns(of_cells, factors)]
+            if self.turns is not None:
+                extras.append(jnp.zeros((3, self.turns.size, *pixel.shape), seen.dtype))
+            extras, slope = self._extra_rows(extras, seen, pixel)
+            parts = [of_cells[:, :own] * slope[:, None], *extras]
+            a = jnp.concatenate(parts, axis=1).astype(sums.products.dtype)
+            products = jnp.einsum("canr,cbnr->ncab", a, a)
+            place = jnp.where(
+                numbers < own,
+                object_[:, None] * own + numbers,
+                (self.objects - 1) * own + numbers,
+            )
+            added = sums.products.at[:, place[:, :, None], place[:, None, :]].add(
+                jnp.moveaxis(products, 0, 1)
+            )
+            seen = jnp.moveaxis(seen, 0, -1)
+            return ShadingSums(added, sums.seen.at[pixel].set(seen, mode="drop"))
+
+        return lax.fori_loop(0, -(-rows.count // _CHUNKS), add, sums)
+
+    def _add_several(self, sums: ShadingSums, rows: Rows, basis: Basis) -> ShadingSums:
+        """Adds all other pixels, group by group."""
+        shading, own = self.shading, self.shading.own
+
+        def add(k: Index, sums: ShadingSums) -> ShadingSums:
+            k = keep_loop_parallel(k)
+            cells, pixel = jax.tree.map(lambda x: x[k], (rows.cells, rows.pixel))
+            factors = jnp.moveaxis(self.factors[cells.object], 0, -1)
+            of_cells = self._cell_basis(cells, basis)
+            by_turns = None
+            if cells.turns is not None:
+                of_cells, by_turns = self._turned(cells, of_cells, factors)
+            in_rows = lambda x, *at: (
+                jnp.zeros((ROWS, *(n for n, _ in at), *x.shape[:-1]), x.dtype)
+                .at[(cells.row, *(i for _, i in at))]
+                .add(jnp.moveaxis(x, -1, 0), mode="drop")
+            )
+            seen = shading.seen(of_cells, factors)
+            extras = [seen[:, None], shading.light_columns(of_cells, factors)]
+            extras = jnp.moveaxis(in_rows(jnp.concatenate(extras, axis=1)), 0, -1)
+            seen, extras = extras[:, 0], [extras[:, 1:]]
+            if by_turns is not None:
+                extras.append(self._turn_columns(cells, by_turns))
+            extras, slope = self._extra_rows(extras, seen, pixel)
+            of_objects = in_rows(of_cells[:, :own], (self.objects, cells.object))
+            of_objects = jnp.moveaxis(of_objects, 0, -1)
+            of_objects = jnp.moveaxis(of_objects, 1, 0).reshape(-1, self.objects * own, ROWS)
+            a = jnp.concatenate([of_objects * slope[:, None], *extras], axis=1)
+            a = a.astype(sums.products.dtype)
+            products = sums.products + jnp.einsum("car,cbr->cab", a, a)
+            seen = jnp.moveaxis(seen, 0, -1)
+            return ShadingSums(products, sums.seen.at[pixel].set(seen, mode="drop"))
+
+        return lax.fori_loop(0, rows.count, add, sums)
+
+    def _turned(self, cells, of_cells, factors):
+        """Returns the numbers of cells times kgr and kt on their way, and the colours by each."""
+        assert self.turns is not None
+        values = self.turns[cells.turns]
+        bounces = values.shape[-1]
+        others = ~np.eye(bounces, dtype=bool)
+        rest = jnp.prod(jnp.where(others, values[:, None, :], 1), axis=-1)
+        seen = self.shading.seen(of_cells, factors)
+        return of_cells * jnp.prod(values, axis=-1), seen[:, None] * rest.T
+
+    def _turn_columns(self, cells: Cells, by_turns) -> Float[Array, "3 turns rows"]:
+        assert self.turns is not None
+        columns = jnp.zeros((ROWS, self.turns.size, 3), by_turns.dtype)
+        row = jnp.broadcast_to(cells.row[:, None], cells.turns.shape)
+        columns = columns.at[row, cells.turns].add(
+            jnp.moveaxis(by_turns, 0, -1).swapaxes(0, 1), mode="drop"
+        )
+        return jnp.moveaxis(columns, (0, 2), (2, 0))
+
+    # -- the chain rule
+
+    def by_parameters(
+        self, products: Float[Array, "3 all all"]
+    ) -> tuple[Float[Array, "free free"], Float[Array, " free"], Float[Array, ""]]:
+        """Returns J^T J, J^T r and the cost, by the free parameters."""
+        shading, dtype = self.shading, products.dtype
+        spheres, places = shading.sphere_columns()
+        spheres = spheres.astype(dtype)
+        _, count, own, width = spheres.shape
+        shared, shared_places = self._shared_columns()
+        shared, size = shared.astype(dtype), products.shape[-1]
+        rows = products[:, : count * own].reshape(3, count, own, size)
+        left = jnp.einsum("cniw,cnim->cnwm", spheres, rows).reshape(3, count * width, size)
+        left = jnp.concatenate([left, jnp.einsum("cmd,cmk->cdk", shared, products)], axis=1)
+        columns = left[:, :, : count * own].reshape(3, -1, count, own)
+        square = jnp.einsum("cmni,cniw->mnw", columns, spheres).reshape(-1, count * width)
+        square = jnp.concatenate([square, jnp.einsum("ckm,cmd->kd", left, shared)], axis=1)
+        order = np.argsort(np.concatenate([places.reshape(-1), shared_places]))
+        gradient = jnp.sum(left[:, :, -1], axis=0)
+        cost = jnp.sum(products[:, -1, -1]) / 2
+        return square[order][:, order], gradient[order], cost
+
+    def _shared_columns(self) -> tuple[Float[Array, "3 all columns"], np.ndarray]:
+        """Returns the columns that no sphere has to itself, as multiples of the rows' numbers."""
+        shading, index = self.shading, self.index
+        colors, first = shading.color_columns(), self.objects * shading.own
+        colors = jnp.pad(colors.reshape(3, first, -1), ((0, 0), (0, self.extras), (0, 0)))
+        places = [index.lights[name] for name in ("light_color",) if name in index.lights]
+        units = []  # columns that are numbers of the rows as they are
+        if shading.by_position:
+            places.append(index.lights["light_position"])
+            units.append(first + np.arange(shading.by_position))
+            first += shading.by_position
+        if self.turns is not None:
+            spheres = np.arange(shading.context.tables.sphere_count)
+            for name, shift in (("kgr", 0), ("kt", self.objects - 1)):
+                if name in index.spheres:
+                    places.append(index.spheres[name])
+                    units.append(first + shift + spheres)
+            first += self.turns.size
+        number = np.concatenate([np.zeros(0, int), *units])
+        identity = np.zeros((3, colors.shape[1], number.size))
+        identity[:, number, np.arange(number.size)] = 1
+        parts = [colors, jnp.asarray(identity, colors.dtype)]
+        if index.exposure is not None:
+            places.append(index.exposure)
+            parts.append(jnp.zeros((3, colors.shape[1], 3)).at[:, first].set(jnp.eye(3)))
+        places = np.concatenate([np.zeros(0, int), *(p.reshape(-1) for p in places)])
+        return jnp.concatenate(parts, axis=2), places
