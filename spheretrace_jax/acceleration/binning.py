@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from ..base.types import Ids, Mask, PixelArray, Scalar
-from ..base.vec import Vec
+from ..base.vec import SplitVec, Vec
 from ..xla.compaction import prefix_sum
 
 T = TypeVar("T")
@@ -247,7 +247,7 @@ def cluster(center: Vec, radius: PixelArray) -> Cluster:
     middle, half = central_range((sample.x, sample.y, sample.z, radii))
     extent = jnp.sum(half[:3]) + (middle[3] + half[3])
     slack = CLUSTER_EXTENTS * ROUNDING_ULPS * jnp.finfo(radius.dtype).eps * extent
-    return Cluster(sample, Vec(*middle[:3]), Vec(*half[:3]), slack)
+    return Cluster(sample, SplitVec(*middle[:3]), SplitVec(*half[:3]), slack)
 
 
 def central_range(

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from ..base.types import Mask, PixelArray, Scalar
-from ..base.vec import Vec, cross, dot, norm, unit, where
+from ..base.vec import SplitVec, Vec, cross, dot, norm, unit, where
 from .binning import (
     ROUNDING_ULPS,
     BinBounds,
@@ -88,7 +88,7 @@ class LightProjection(eqx.Module):
         rest. Differences to a near anchor keep it.
         """
         v = point - self.anchor
-        v = Vec(dot(v, self.right), dot(v, self.up), dot(v, self.forward))
+        v = SplitVec(dot(v, self.right), dot(v, self.up), dot(v, self.forward))
         return v + self.offset
 
     def cell_position(self, point: Vec) -> tuple[PixelArray, PixelArray]:
@@ -146,13 +146,13 @@ def light_projection(light: Vec, spheres: int, group: Cluster) -> LightProjectio
     """
     anchor, dtype = group.middle, light.x.dtype
     forward = unit(anchor - light)
-    forward = where(dot(forward, forward) > 0.5, forward, Vec(*jnp.eye(3, dtype=dtype)[0]))
+    forward = where(dot(forward, forward) > 0.5, forward, SplitVec(*jnp.eye(3, dtype=dtype)[0]))
     near_x_axis = jnp.abs(forward.x) > 0.5
     zero, one = jnp.zeros_like(forward.x), jnp.ones_like(forward.x)
-    right = unit(cross(forward, where(near_x_axis, Vec(zero, one, zero), Vec(one, zero, zero))))
+    right = unit(cross(forward, where(near_x_axis, SplitVec(zero, one, zero), SplitVec(one, zero, zero))))
     up = cross(right, forward)
     offset = anchor - light
-    offset = Vec(dot(offset, right), dot(offset, up), dot(offset, forward))
+    offset = SplitVec(dot(offset, right), dot(offset, up), dot(offset, forward))
     cells = int(math.sqrt(max_bins(spheres)))
     unscaled = LightProjection(
         anchor, offset, right, up, forward, (zero, zero), (one, one), group.slack, cells

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool
 
 from ..base.safe_math import clamp, larger, smaller
 from ..base.types import Index, Mask, PixelArray
-from ..base.vec import Vec, where, zeros
+from ..base.vec import Vec, split, where, zeros
 from ..scene.camera import Ray, unit_ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
@@ -197,7 +197,7 @@ def layer_radiance(
 
     def add_way(color: Vec, choice: Index) -> tuple[Vec, None]:
         path = secondary_path(context, layer.ray.value, layer.surface, layer.hit, alive, choice)
-        return color + trace_path(context, path), None
+        return color + trace_path(context, split(path)), None
 
     def add_all_ways() -> Vec:
         if not context.needs.branching:

@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from ..base.types import Index, Mask, PixelArray
-from ..base.vec import Vec, where, zeros
+from ..base.vec import Vec, spread, where, zeros
 from ..scene.camera import Ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
@@ -87,7 +87,7 @@ class _Looks(eqx.Module):
 
     def _from_eye(self) -> tuple[Differential[Ray], Hit, PixelArray]:
         shape = self.alive.shape
-        ray = jax.tree.map(lambda x: jnp.broadcast_to(x, shape), self.ray)
+        ray = spread(self.ray, shape)
         return ray, self.nothing, jnp.ones(shape, self.context.dtype)
 
     def _from_layer(

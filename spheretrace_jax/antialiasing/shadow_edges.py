@@ -72,7 +72,7 @@ def lit_coverage(
     def outside_shadow(places: Ids, _: Mask) -> HalfPlane:
         at = places % count
         # rays from the eye have one origin for all
-        pick = lambda x: x[at] if x.ndim else x
+        pick = lambda x: x[..., at] if x.shape[-1:] == (count,) else x
         shaded_ = barrier(jax.tree.map(pick, shaded))
         light_ = jax.tree.map(pick, light)
         return ~_shadow_half_plane(context.at_pixels(at), shaded_, number[places], light_)

@@ -20,7 +20,7 @@ from ..antialiasing.compositing import VisibleLayer, visible_layers
 from ..antialiasing.edge_mask import edge_mask
 from ..antialiasing.pixel_radiance import secondary_differential
 from ..base.types import Ids, Index, Mask
-from ..base.vec import Vec
+from ..base.vec import Vec, split, spread
 from ..scene.camera import Ray
 from ..scene.scene import Scene
 from ..scene.settings import RenderSettings
@@ -63,11 +63,11 @@ class Contribution(NamedTuple):
 
     pixel: Int[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
-    turns: Int[np.ndarray, "n bounces"]  #: factors of the weight, numbers in `all_turns`
+    turns: Int[np.ndarray, "bounces n"]  #: factors of the weight, numbers in `all_turns`
 
 
 class ShadingSamples(NamedTuple):
-    """All samples of a picture, in NumPy arrays."""
+    """All samples of a picture, in NumPy arrays whose last axis is that of samples."""
 
     points: PointSample
     point_contribution: Contribution
@@ -121,8 +121,8 @@ class _Tracer:
         for left, top in zip(*(np.asarray(p) for p in positions), strict=True):
             self._trace_sample(pixels, left, top)
         shape = settings.height, settings.width
-        points, point_contribution = _joined(self.points)
-        layers, layer_contribution = _joined(self.layers) if self.layers else (None, _nowhere())
+        points, point_contribution = _concatenate(self.points)
+        layers, layer_contribution = _concatenate(self.layers) if self.layers else (None, _nowhere())
         return ShadingSamples(
             points, point_contribution, layers, layer_contribution, self.edge.reshape(shape)
         )
@@ -130,7 +130,7 @@ class _Tracer:
     def _trace_sample(self, pixels: np.ndarray, left: np.ndarray, top: np.ndarray) -> None:
         """Traces one sample of each pixel: single rays, and areas where they may meet edges."""
         weight = np.full(pixels.size, self.settings.samples**-2, self.context.dtype)
-        none = np.full((pixels.size, self.settings.bounces), len(self.turns) - 1, np.int32)
+        none = np.full((self.settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
         contribution = Contribution(pixels, weight, none)
         look = lambda pixels: _look_from_eye(self.context, pixels, left, top)
         met = _in_chunks(look, pixels, _RAYS)
@@ -176,7 +176,7 @@ class _Tracer:
         if not self.free_turns:
             return Contribution(pixel, weight * self.turns[turn], turns)
         turns = turns.copy()
-        turns[:, bounce] = turn
+        turns[bounce] = turn
         return Contribution(pixel, weight, turns)
 
     # -- edges
@@ -185,7 +185,7 @@ class _Tracer:
         """Covers pixels with edges by layers, and those in what they see first."""
         settings = self.settings
         weight = np.full(pixels.size, settings.samples**-2, self.context.dtype)
-        none = np.full((pixels.size, settings.bounces), len(self.turns) - 1, np.int32)
+        none = np.full((settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
         nothing = Hit(np.full(pixels.size, -1, self.context.tables.id_type), pixels < 0)
         look = lambda pixels: _eye_differentials(self.context, pixels, left, top)
         ray = _in_chunks(look, pixels, _EDGE_PIXELS)
@@ -195,7 +195,7 @@ class _Tracer:
             if front is None:
                 return
         # behind the second mirror or bubble single rays are followed
-        front = front._replace(ray=front.ray.value)
+        front = front._replace(ray=_split(front.ray.value))
         for bounce in range(2, settings.bounces + 1):
             met = self._meet(front, bounce)
             at = np.flatnonzero(met.seen)
@@ -212,7 +212,7 @@ class _Tracer:
         for first in range(0, size, _EDGE_PIXELS):
             part = _take(front, np.arange(first, min(first + _EDGE_PIXELS, size)))
             layers = lambda inputs: _find_layers(self.context, *inputs)
-            seen = _in_chunks(layers, (part.ray, part.source_hit), _EDGE_PIXELS, axis=1)
+            seen = _in_chunks(layers, (part.ray, part.source_hit), _EDGE_PIXELS)
             for k in range(seen.shown.shape[0]):
                 at = np.flatnonzero(seen.shown[k] & (seen.area[k] > 0))
                 if not at.size:
@@ -220,7 +220,7 @@ class _Tracer:
                 rays, contribution = _take((part.ray, part.contribution), at)
                 weight = contribution.weight * seen.area[k][at]
                 contribution = contribution._replace(weight=weight)
-                sample = jax.tree.map(lambda x, k=k, at=at: x[k][at], seen.sample)
+                sample = jax.tree.map(lambda x, k=k, at=at: x[k][..., at], seen.sample)
                 self.layers.append((sample, contribution))
                 if bounce < self.settings.bounces:
                     on += self._onward_from(rays, sample.layer.hit, contribution, bounce)
@@ -327,7 +327,7 @@ def _eye_differentials(
     context: TraceContext, pixels: Ids, left: Array, top: Array
 ) -> Differential[Ray]:
     ray = eye_differentials(context, pixels, left, top)
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, pixels.shape), ray)
+    return spread(ray, pixels.shape)
 
 
 @compiled
@@ -339,9 +339,9 @@ def _find_layers(context: TraceContext, ray: Differential[Ray], source_hit: Hit)
     sky = None
     if context.needs.background:
         nothing = Hit(jnp.full_like(source_hit.id, -1), ~everywhere)
-        surface = jax.tree.map(lambda x: jnp.zeros_like(x[0]), layer.surface)
+        surface = split(jax.tree.map(lambda x: jnp.zeros_like(x[0]), layer.surface))
         color = _tint(context, nothing, surface, direction)
-        sky = PointSample(nothing, surface, direction, color)
+        sky = PointSample(nothing, surface, split(direction), color)
     return _Seen(LayerSample(layer, tint), shown, area, uncovered[None], sky)
 
 
@@ -359,28 +359,28 @@ def _onward_from_layer(
 # -- on the host
 
 
-def _in_chunks(function: Callable[[Any], T], inputs: Any, size: int, axis: int = 0) -> T:
-    """Applies a compiled function to rows, `size` at a time, and joins the results in NumPy."""
-    count = len(jax.tree.leaves(inputs)[0])
+def _in_chunks(function: Callable[[Any], T], inputs: Any, size: int) -> T:
+    """Applies a compiled function to samples, `size` at a time, and joins the results in NumPy."""
+    count = jax.tree.leaves(inputs)[0].shape[-1]
     parts = []
     for first in range(0, max(count, 1), size):
         rows = np.minimum(np.arange(first, first + size), count - 1)
         parts.append((function(_take(inputs, rows)), min(size, count - first)))
-    cut = lambda x, n: np.asarray(x)[:n] if axis == 0 or np.ndim(x) < 2 else np.asarray(x)[:, :n]
-    parts = [jax.tree.map(lambda x, n=n: cut(x, n), part) for part, n in parts]
+    parts = [jax.tree.map(lambda x, n=n: np.asarray(x)[..., :n], part) for part, n in parts]
     return parts[0] if len(parts) == 1 else _concatenate(parts)
 
 
 def _take(tree: T, rows: np.ndarray) -> T:
-    return jax.tree.map(lambda x: np.asarray(x)[rows], tree)
+    return jax.tree.map(lambda x: np.asarray(x)[..., rows], tree)
 
 
 def _concatenate(trees: list[T]) -> T:
-    return jax.tree.map(lambda *x: np.concatenate(x), *trees)
+    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *trees)
 
 
-def _joined(parts: list[tuple[T, Contribution]]) -> tuple[T, Contribution]:
-    return _concatenate(parts)
+def _split(ray: Ray) -> Ray:
+    """Returns rays with split vectors, in NumPy."""
+    return jax.tree.map(np.asarray, split(ray))
 
 
 def _nowhere() -> Contribution:

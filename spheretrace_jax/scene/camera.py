@@ -6,7 +6,7 @@ from jaxtyping import ArrayLike
 
 from ..base.safe_math import to_order_one
 from ..base.types import PixelArray, Scalar
-from ..base.vec import Vec, unit
+from ..base.vec import SplitVec, Vec, unit
 from .arrays import floats
 
 
@@ -59,11 +59,11 @@ def view_frame(camera: Camera) -> Frame:
     """
     st, ct = jnp.sin(camera.theta), jnp.cos(camera.theta)
     sp, cp = jnp.sin(camera.phi), jnp.cos(camera.phi)
-    forward = Vec(-sp * ct, -sp * st, -cp)
+    forward = SplitVec(-sp * ct, -sp * st, -cp)
     return Frame(
         eye=forward * -camera.mu,
-        right=Vec(-st, ct, jnp.zeros_like(st)),
-        up=Vec(-ct * cp, -st * cp, sp),
+        right=SplitVec(-st, ct, jnp.zeros_like(st)),
+        up=SplitVec(-ct * cp, -st * cp, sp),
         forward=forward,
     )
 
@@ -103,7 +103,7 @@ def unnormalized_rays(
     def along(right: PixelArray, up: PixelArray, forward: PixelArray) -> PixelArray:
         return (y * up + distance * forward) + x * right
 
-    towards = Vec(
+    towards = SplitVec(
         along(frame.right.x, frame.up.x, frame.forward.x),
         along(frame.right.y, frame.up.y, frame.forward.y),
         along(frame.right.z, frame.up.z, frame.forward.z),

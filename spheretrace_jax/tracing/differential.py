@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Scalar
 
 from ..base.types import PixelArray
+from ..base.vec import packed
 from ..scene.camera import Camera, Ray, unit_ray, unnormalized_rays
 from ..xla.barriers import barrier
 
@@ -21,32 +22,42 @@ S = TypeVar("S")
 
 
 class Differential(eqx.Module, Generic[T]):
-    """A quantity, a pytree of pixel arrays, and its derivatives by the position in pixels.
-
-    `dx` is the derivative to the right, `dy` the derivative down.
-    """
+    """A quantity, a pytree of pixel arrays, and its derivatives by the position in pixels."""
 
     value: T
-    dx: T
-    dy: T
+    slopes: T  #: arrays with one more axis in front: the derivative to the right, and that down
+
+    @property
+    def dx(self) -> T:
+        """Returns the derivative to the right."""
+        return jax.tree.map(lambda s: s[0], self.slopes)
+
+    @property
+    def dy(self) -> T:
+        """Returns the derivative down."""
+        return jax.tree.map(lambda s: s[1], self.slopes)
 
     def map(self, function: Callable[[T], S]) -> "Differential[S]":
         """Applies `function` to the value, and the chain rule to the derivatives."""
         value, slope = jax.linearize(function, self.value)
-        dx, dy = slope(self.dx), slope(self.dy)
-        # value and derivatives share most of their work, which XLA would repeat for each user
-        return barrier(Differential(value, dx, dy))
+        # both derivatives at once: half as much to compile. Value and derivatives share most of
+        # their work, which XLA would repeat for each user
+        return barrier(Differential(value, jax.vmap(slope)(self.slopes)))
 
     def paired_with(self, other: "Differential[S]") -> "Differential[tuple[T, S]]":
         """Pairs two quantities into one."""
-        return Differential((self.value, other.value), (self.dx, other.dx), (self.dy, other.dy))
+        return Differential((self.value, other.value), (self.slopes, other.slopes))
 
     def at(self, x: PixelArray, y: PixelArray) -> "Differential[T]":
         """Moves the expansion point by x pixels to the right and y down (first order)."""
-        broadcast = lambda v: jnp.broadcast_to(v, jnp.broadcast_shapes(v.shape, x.shape))
-        value, dx, dy = (jax.tree.map(broadcast, v) for v in (self.value, self.dx, self.dy))
-        move = lambda v, dx, dy: v + x * dx + y * dy
-        return Differential(barrier(jax.tree.map(move, value, dx, dy)), dx, dy)
+        moved = jax.tree.map(lambda v, s: v + x * s[0] + y * s[1], self.value, self.slopes)
+        whole = lambda s, v: jnp.broadcast_to(s, (2, *v.shape))
+        return Differential(barrier(moved), jax.tree.map(whole, self.slopes, moved))
+
+
+def differential(value: T, dx: T, dy: T) -> Differential[T]:
+    """Returns a quantity with its derivatives to the right and down."""
+    return Differential(value, jax.tree.map(lambda a, b: jnp.stack([a, b]), dx, dy))
 
 
 def pixel_differentials(
@@ -63,4 +74,5 @@ def pixel_differentials(
     """
     zero, step = jnp.zeros_like(columns), jnp.full_like(columns, side)
     rays_at = lambda position: unnormalized_rays(camera, position[0], position[1], size)
-    return Differential((columns, rows), (step, zero), (zero, step)).map(rays_at).map(unit_ray)
+    rays = differential((columns, rows), (step, zero), (zero, step)).map(rays_at)
+    return rays.map(lambda ray: packed(unit_ray(ray)))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..base.types import Ids, Index, Mask, PixelArray
-from ..base.vec import Vec, unit, vec
+from ..base.vec import SplitVec, Vec, unit, vec
 from ..scene.camera import view_frame
 from ..scene.scene import Scene
 from ..xla.gather import smallest_int
@@ -121,7 +121,7 @@ def build_tables(scene: Scene) -> SceneTables:
         planes = _append(planes, Plane(middle, -frame.forward))
         matte = Material(vec(back.color), back.ka, back.kd, zero, zero, zero, zero)
         table = _append(table, matte)
-        checkers = _append(checkers, Checker(Vec(zero, zero, zero), zero))
+        checkers = _append(checkers, Checker(SplitVec(zero, zero, zero), zero))
     material = Material(_columns(s.color), s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
     return SceneTables(
         spheres=Sphere(_columns(s.center), s.radius),
@@ -137,7 +137,7 @@ def table_row(table: T, number: Index) -> T:
 
 
 def _columns(array: Float[Array, "rows 3"]) -> Vec:
-    return Vec(array[:, 0], array[:, 1], array[:, 2])
+    return SplitVec(array[:, 0], array[:, 1], array[:, 2])
 
 
 def _append(table: T, row: T) -> T:

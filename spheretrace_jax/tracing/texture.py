@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..base.types import Ids, Mask, PixelArray
-from ..base.vec import Vec, cross, dot, norm, where
+from ..base.vec import SplitVec, Vec, cross, dot, norm, where
 from ..xla.gather import gather_rows
 from .tables import SceneTables
 
@@ -20,7 +20,7 @@ def sphere_uv(direction: Vec) -> tuple[PixelArray, PixelArray]:
     azimuth = jnp.arctan2(direction.y, jnp.where(at_pole, 1, direction.x))
     u = azimuth / (2 * jnp.pi)
     polar = jnp.arctan2(
-        norm(Vec(direction.x, direction.y, jnp.zeros_like(direction.x))), direction.z
+        norm(SplitVec(direction.x, direction.y, jnp.zeros_like(direction.x))), direction.z
     )
     return jnp.where(u < 0, u + 1, u), polar / jnp.pi
 
@@ -41,7 +41,7 @@ def lookup(image: Float[Array, "rows columns 3"], u: PixelArray, v: PixelArray) 
 
     def texel(i: Ids, j: Ids) -> Vec:
         colors = image[i, j]
-        return Vec(colors[..., 0], colors[..., 1], colors[..., 2])
+        return SplitVec(colors[..., 0], colors[..., 1], colors[..., 2])
 
     upper = texel(i0, j) * (1 - right_weight) + texel(i0, j1) * right_weight
     lower = texel(i1, j) * (1 - right_weight) + texel(i1, j1) * right_weight
@@ -58,7 +58,7 @@ def texture_color(
     """
     u, v = sphere_uv(outward)
     one = jnp.ones_like(u)
-    factor = Vec(one, one, one)
+    factor = SplitVec(one, one, one)
     # the last entry stands for all objects that are not spheres
     table = jnp.asarray((*pic, 0), jnp.int32)
     texture = table[jnp.where(tables.is_sphere(ids), ids.astype(jnp.int32), len(pic))]
@@ -79,7 +79,7 @@ def second_square(tables: SceneTables, ids: Ids, point: Vec) -> tuple[Mask, Vec]
     n = jax.lax.stop_gradient(plane.normal)
     near_x_axis = (jnp.abs(n.x) > jnp.abs(n.y)) & (jnp.abs(n.x) > jnp.abs(n.z))
     zero, one = jnp.zeros_like(n.x), jnp.ones_like(n.x)
-    axis = where(near_x_axis, Vec(zero, one, zero), Vec(one, zero, zero))
+    axis = where(near_x_axis, SplitVec(zero, one, zero), SplitVec(one, zero, zero))
     tangent = axis - n * dot(axis, n)
     tangent = tangent * (1 / norm(tangent))
     bitangent = cross(n, tangent)

@@ -10,7 +10,7 @@ import pytest
 from helpers.contexts import context_of
 
 import spheretrace_jax as st
-from spheretrace_jax.base.vec import Vec, reflect, unit, vec
+from spheretrace_jax.base.vec import SplitVec, reflect, unit, vec
 from spheretrace_jax.scene.camera import Ray, pixel_rays
 from spheretrace_jax.tracing.hit import Hit
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
@@ -181,7 +181,7 @@ def test_same_pictures_and_gradients(draw, monkeypatch):
 
 def test_same_hits_of_any_rays():
     scene, rng = cloud(), np.random.default_rng(0)
-    origin, direction = (Vec(*jnp.asarray(rng.standard_normal((3, 100, 90)))) for _ in range(2))
+    origin, direction = (SplitVec(*jnp.asarray(rng.standard_normal((3, 100, 90)))) for _ in range(2))
     ray = Ray(origin * 100, unit(direction))
     no_source = Hit(jnp.full((100, 90), COUNT, jnp.int16), jnp.full((100, 90), False))
     found = accelerated(scene, lambda context: closest_hit(context, ray, no_source))
@@ -209,7 +209,7 @@ def test_program_size_is_constant():
 def test_light_without_buffer_tests_all_spheres():
     scene = cloud()
     top = scene.spheres.center.at[:, 2].add(scene.spheres.radius)
-    point = Vec(*top.T)
+    point = SplitVec(*top.T)
     hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))
     light = vec(jnp.array([-300.0, 20, 500]))
     test = lambda context: light_visible(context, point, hit, light)

@@ -7,7 +7,7 @@ import pytest
 
 from spheretrace_jax.acceleration import binning
 from spheretrace_jax.acceleration.binning import BinBounds, build_bins
-from spheretrace_jax.base.vec import Vec
+from spheretrace_jax.base.vec import SplitVec
 
 SIZE = (13.0, 7, 4)
 
@@ -19,7 +19,7 @@ def boxes(n, largest, seed=0):
 
 
 def binned_boxes(low, high):
-    center, radius = Vec(*jnp.asarray(low.T)), jnp.ones(len(low))
+    center, radius = SplitVec(*jnp.asarray(low.T)), jnp.ones(len(low))
     bounds = BinBounds(
         tuple(jnp.asarray(low.T)), tuple(jnp.asarray(high.T)), jnp.array(SIZE), jnp.array(2.0)
     )

@@ -7,7 +7,7 @@ import pytest
 
 from spheretrace_jax.acceleration.binning import cluster
 from spheretrace_jax.acceleration.light_buffer import light_projection
-from spheretrace_jax.base.vec import Vec, vec
+from spheretrace_jax.base.vec import SplitVec, vec
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
@@ -24,7 +24,7 @@ def test_bounds_hold_every_ray(light, dtype):
     point = inside + (inside - light) * rng.uniform(0, 1, (n, 1)) / np.linalg.norm(
         inside - light, axis=1, keepdims=True
     )
-    center, point = (Vec(*jnp.asarray(x.T, dtype)) for x in (center, point))
+    center, point = (SplitVec(*jnp.asarray(x.T, dtype)) for x in (center, point))
     radius, light = jnp.asarray(radius, dtype), vec(jnp.asarray(light, dtype))
 
     def positions():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as strategy
 
 from spheretrace_jax.antialiasing import coverage
-from spheretrace_jax.base.vec import Vec
+from spheretrace_jax.base.vec import SplitVec
 
 disc, half_plane = jax.jit(coverage.disc_area), jax.jit(coverage.half_plane_area)
 
@@ -24,16 +24,16 @@ X, Y = np.meshgrid(*[(np.arange(200) + 0.5) / 200 - 0.5] * 2)
 def flat_disc(q, qx, qy, radius):
     """Returns `disc` in the plane z = 0. **Arguments:** of shape (n, 2), `radius` of shape (n,)."""
     zero = jnp.zeros_like(radius)
-    q, qx, qy = (Vec(v[:, 0], v[:, 1], zero) for v in (q, qx, qy))
-    return disc(q, qx, qy, Vec(zero, zero, zero + 1), radius)
+    q, qx, qy = (SplitVec(v[:, 0], v[:, 1], zero) for v in (q, qx, qy))
+    return disc(q, qx, qy, SplitVec(zero, zero, zero + 1), radius)
 
 
 @jax.jit
 def square_disc(x, y, radius):
     """Returns the fraction of pixels at x, y inside a disc around the origin."""
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
-    axis = Vec(zero, zero, one)
-    return disc(Vec(x, y, zero), Vec(one, zero, zero), Vec(zero, one, zero), axis, radius * one)
+    axis = SplitVec(zero, zero, one)
+    return disc(SplitVec(x, y, zero), SplitVec(one, zero, zero), SplitVec(zero, one, zero), axis, radius * one)
 
 
 def random_discs(n: int) -> tuple[np.ndarray, ...]:
@@ -141,7 +141,7 @@ def test_disc_is_rotation_invariant():
     along = (
         RNG.normal(size=(2, 200, 1)) * TURN[2]
     )  # components of qx and qy along the ray do not count
-    planes = lambda rows: Vec(*jnp.asarray(rows).T)
+    planes = lambda rows: SplitVec(*jnp.asarray(rows).T)
     axis = planes(np.tile(TURN[2], (200, 1)))
     qx3, qy3 = (planes(v @ TURN[:2] + a) for v, a in zip((qx, qy), along, strict=True))
     area = disc(planes(q @ TURN[:2]), qx3, qy3, axis, jnp.asarray(radius))

@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as strategy
 
 from spheretrace_jax.antialiasing import coverage, polygon
 from spheretrace_jax.antialiasing.polygon import HalfPlane
-from spheretrace_jax.tracing.differential import Differential
+from spheretrace_jax.tracing.differential import differential
 
 clipped_area = jax.jit(polygon.clipped_area)
 FLOATS = pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -129,13 +129,13 @@ def test_derivatives_of_half_plane_with_area():
 def test_half_plane_of_a_function():
     rng = np.random.default_rng(3)
     f, fx, fy = jnp.asarray(rng.normal(size=(3, 100)))
-    area = clipped_area(polygon.half_plane_of(Differential(f, fx, fy)))
+    area = clipped_area(polygon.half_plane_of(differential(f, fx, fy)))
     np.testing.assert_allclose(area, coverage.half_plane_area(f, fx, fy), atol=1e-14)
 
 
 @pytest.mark.parametrize(("f", "area"), [(2.0, 1), (-2.0, 0)])
 def test_constant_function_has_no_edge(f, area):
     f, zero = jnp.full(1, f), jnp.zeros(1)
-    half_plane = polygon.half_plane_of(Differential(f, zero, zero))
+    half_plane = polygon.half_plane_of(differential(f, zero, zero))
     assert clipped_area(half_plane) == area
     assert bool(polygon.contain_pixel((half_plane,))[0]) == (area == 1)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spheretrace_jax.base.vec import Vec, cross, dot, norm, reflect, unit, vec
+from spheretrace_jax.base.vec import SplitVec, Vec, cross, dot, norm, reflect, unit, vec
 
 A, B = vec(jnp.array([1.0, -2.0, 3.0])), vec(jnp.array([0.5, 4.0, -1.0]))
 
@@ -32,7 +32,7 @@ def test_reflection():
 
 @pytest.mark.parametrize("function", [norm, lambda v: unit(v).x])
 def test_zero_vector_is_finite(function):
-    zero = Vec(*jnp.zeros(3))
+    zero = SplitVec(*jnp.zeros(3))
     value, derivative = jax.value_and_grad(function)(zero)
     assert value == 0
     assert np.isfinite(rows(derivative)).all()

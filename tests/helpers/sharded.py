@@ -14,7 +14,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 import spheretrace_jax as st
-from spheretrace_jax.base.vec import Vec
+from spheretrace_jax.base.vec import SplitVec, Vec
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.problem.problem import normal_at
 from spheretrace_jax.rendering.pixel_filter import filter_pixels
@@ -80,7 +80,7 @@ def neighbours(sharding: NamedSharding | None) -> Results:
     color, edge = random.normal(size=(3, HEIGHT, WIDTH)), random.uniform(size=(HEIGHT, WIDTH)) < 0.1
     scene = scenes.three_spheres(antialias=1)
     settings = render_settings(scene, WIDTH, UNEVEN, sharding=sharding)
-    arrays = Vec(*jnp.asarray(color[:, :height])), jnp.asarray(edge[:height])
+    arrays = SplitVec(*jnp.asarray(color[:, :height])), jnp.asarray(edge[:height])
 
     def averages(color: Vec, edge: Array, settings: RenderSettings) -> Array:
         return filter_pixels(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)

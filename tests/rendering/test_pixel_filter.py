@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from helpers.scenes import three_spheres
 
-from spheretrace_jax.base.vec import Vec, components
+from spheretrace_jax.base.vec import SplitVec, components
 from spheretrace_jax.rendering.pixel_filter import NEIGHBOURS, filter_pixels, filter_weights
 from spheretrace_jax.scene.settings import render_settings
 
@@ -16,7 +16,7 @@ def test_weights_are_the_filter():
     rng = np.random.default_rng(0)
     settings = render_settings(three_spheres(antialias=1), WIDTH, HEIGHT, samples=2)
     edge = jnp.asarray(rng.uniform(size=(HEIGHT, WIDTH)) < 0.1)
-    color = Vec(*jnp.asarray(rng.uniform(size=(3, HEIGHT, WIDTH))))
+    color = SplitVec(*jnp.asarray(rng.uniform(size=(3, HEIGHT, WIDTH))))
     filtered = filter_pixels(jax.tree.map(settings.rows.with_neighbours, color), edge, settings)
     weights = filter_weights(edge, settings, color.x.dtype).reshape(5, HEIGHT, WIDTH)
     across = np.arange(WIDTH) + np.reshape(NEIGHBOURS[0], (5, 1, 1))
@@ -32,7 +32,7 @@ def test_weights_are_the_filter():
 def test_a_parabola_is_averaged_exactly():
     settings = render_settings(three_spheres(antialias=1), WIDTH, HEIGHT)
     x = jnp.broadcast_to(jnp.arange(WIDTH, dtype=float) ** 2, (HEIGHT, WIDTH))
-    color = jax.tree.map(settings.rows.with_neighbours, Vec(x, 2 * x, 0 * x))
+    color = jax.tree.map(settings.rows.with_neighbours, SplitVec(x, 2 * x, 0 * x))
     filtered = filter_pixels(color, jnp.full(x.shape, False), settings)
     inner = np.s_[1:-1, 1:-1]  # the mean of x^2 over a pixel is x^2 + 1/12
     np.testing.assert_allclose(filtered[..., 0][inner], x[inner] + 1 / 12, rtol=1e-14)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spheretrace_jax.base.vec import Vec, dot, norm, reflect, unit, vec
+from spheretrace_jax.base.vec import SplitVec, Vec, dot, norm, reflect, unit, vec
 from spheretrace_jax.tracing.hit import Surface
 from spheretrace_jax.tracing.shading import blinn, lambert, light_terms, phong, power
 
@@ -41,7 +41,7 @@ def test_phong_and_blinn_are_cosines(light, viewer):
 
 def test_halfway_vector_of_opposite_vectors():
     L = at_angle(90)
-    value = lambda x: blinn(viewed_from(-L), Vec(x, L.y, L.z), L)
+    value = lambda x: blinn(viewed_from(-L), SplitVec(x, L.y, L.z), L)
     assert value(L.x) == 0
     assert np.isfinite(jax.grad(value)(L.x))
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from spheretrace_jax.base.vec import Vec, dot, vec
+from spheretrace_jax.base.vec import SplitVec, dot, vec
 from spheretrace_jax.tracing.shapes.sphere import Sphere, ray_sphere
 
 
@@ -39,6 +39,6 @@ def test_mean_normal_is_at_most_1():
     # from the middle to outside of the sphere, pixels from narrow to wider than the sphere
     q, reach = np.meshgrid(np.linspace(0, 3, 200), np.geomspace(1e-4, 10, 200))
     zero = jnp.zeros(q.shape)
-    sphere = Sphere(Vec(zero, zero, zero), 1 + zero)
-    half_chord, mean = sphere.mean_chord(Vec(jnp.asarray(q), zero, zero), jnp.asarray(reach))
+    sphere = Sphere(SplitVec(zero, zero, zero), 1 + zero)
+    half_chord, mean = sphere.mean_chord(SplitVec(jnp.asarray(q), zero, zero), jnp.asarray(reach))
     assert np.sqrt(half_chord**2 + dot(mean, mean)).max() <= 1 + 1e-15

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ...base.types import Picture
-from ...rendering.render import draw_replicated
 from ..model.target import SIGMA_OF_MEDIAN, Target
 from ..problem.labels import labels_of
-from ..problem.problem import Problem, normal_at
+from ..problem.problem import Problem, normal_at, pictures_at
 from .null_space import spectrum_of
 
 # The residual from which a number is an outlier, in medians of the absolute residuals: 6 standard
@@ -36,14 +35,14 @@ def find_outliers(problem: Problem, values: PyTree, cost: float) -> list[Bool[np
 
     **Arguments:** `cost`: the cost at `values`.
     """
-    outliers = []
+    outliers, pictures = [], None
     for k, (target, settings) in enumerate(zip(problem.targets, problem.settings, strict=True)):
         # no number is further off than all of them
         if settings.antialias or np.sqrt(2 * cost) <= _rounding(target):
             outliers.append(np.zeros(target.image.shape, bool))
         else:
-            scene, exposure = problem.scenes_at(values)[k]
-            outliers.append(_outlying(target, draw_replicated(scene, settings), exposure))
+            pictures = pictures or pictures_at(problem, values)
+            outliers.append(_outlying(target, *pictures[k]))
     return outliers
 
 

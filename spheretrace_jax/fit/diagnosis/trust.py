@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PyTree
 from ...base.types import Picture
 from ..model.target import SIGMA_OF_MEDIAN, Target
 from ..problem.labels import joined, labels_of
-from ..problem.problem import Problem
+from ..problem.problem import Problem, pictures_at
 from .outliers import find_outliers, resting_on_outliers
 
 # The structured residual, whose neighbours agree, as a part of the picture's root-mean-square, from
@@ -125,7 +125,7 @@ def _at_bounds(fit) -> list[str]:
 
 def _structures(problem: Problem, values: PyTree) -> list[tuple[float, str, float]]:
     """Returns of each picture how much structure its residual has, where, and how much may be."""
-    pairs = zip(problem.targets, problem.pictures(values), strict=True)
+    pairs = zip(problem.targets, pictures_at(problem, values), strict=True)
     return [_structure(target, *picture) for target, picture in pairs]
 
 

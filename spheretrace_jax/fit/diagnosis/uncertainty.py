@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from ...xla.jit import compiled
 from ..model.parameters import bounding_sphere
 from ..normal_equations.normal_equations import NormalEquations
-from ..problem.problem import Problem, normal_at
+from ..problem.problem import Problem
 from .null_space import Spectrum, spectrum_of
 from .null_space_reasons import Reason, null_space_reasons
 
@@ -139,7 +139,10 @@ def estimate(
     **Arguments:** `normal`: the normal equations at `values`. `noise`: None to estimate the noise
     from the residuals.
     """
-    square, gradient, jacobians = _in_float64(problem, values, normal)
+    # of the problem only what the derivatives are of
+    parameters = eqx.tree_at(lambda p: (p.targets, p.buffers), problem, ((), ()))
+    jacobians = [np.asarray(x, np.float64) for x in _jacobians(parameters, values)]
+    square, gradient = np.asarray(normal.square), np.asarray(normal.gradient)
     spectrum = spectrum_of(square, problem.norm)
     sentences, explained = _confirmed(
         null_space_reasons(problem, values, spectrum.null, jacobians), spectrum
@@ -191,25 +194,6 @@ def _beyond(directions: np.ndarray, explained: np.ndarray) -> np.ndarray:
     return left[:, size > _NOTHING_NEW]
 
 
-def _in_float64(
-    problem: Problem, values: PyTree, normal: NormalEquations
-) -> tuple[
-    Float[np.ndarray, "free free"], Float[np.ndarray, " free"], list[Float[np.ndarray, "_ free"]]
-]:
-    """Returns J^T J, J^T r, and the derivatives of the free parameters by the unknowns.
-
-    Also of fits in float32. In float32 the squares of what shows little are lost among the rounding
-    errors of what shows much: null columns would not stand out.
-    """
-    if problem.dtype == np.float64:
-        jacobians = [np.asarray(x) for x in _jacobians(problem, values)]
-        return np.asarray(normal.square), np.asarray(normal.gradient), jacobians
-    promote = lambda x: x.astype(np.float64) if eqx.is_inexact_array(x) else x
-    with jax.enable_x64(True):
-        problem, values = jax.tree.map(promote, (problem, values))
-        return _in_float64(problem, values, normal_at(problem, values))
-
-
 @compiled
-def _jacobians(problem: Problem, values: PyTree) -> list[Float[Array, "_ free"]]:
-    return [problem.parameter_jacobian(values, k) for k in range(len(problem.parameters))]
+def _jacobians(parameters: Problem, values: PyTree) -> list[Float[Array, "_ free"]]:
+    return [parameters.parameter_jacobian(values, k) for k in range(len(parameters.parameters))]

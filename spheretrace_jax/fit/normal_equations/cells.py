@@ -78,7 +78,7 @@ class CellList:
 
     def __init__(self, entries: Entries, object_: np.ndarray, turns: np.ndarray):
         """Finds the cells. **Arguments:** `object_`, `turns`: of each entry's sample."""
-        ways, way = np.unique(turns, axis=0, return_inverse=True)
+        ways, way = np.unique(turns.T, axis=0, return_inverse=True)
         objects = int(object_.max(initial=0)) + 1
         key = (entries.pixel.astype(np.int64) * objects + object_) * len(ways) + way.reshape(-1)
         order = np.argsort(key, kind="stable")
@@ -86,7 +86,7 @@ class CellList:
         self.starts = np.flatnonzero(np.diff(key[order], prepend=-1))
         self.sizes = np.diff(self.starts, append=key.size)
         first = order[self.starts]
-        self.pixel, self.object, self.turns = entries.pixel[first], object_[first], turns[first]
+        self.pixel, self.object, self.turns = entries.pixel[first], object_[first], turns.T[first]
 
     def only_cells(self) -> np.ndarray:
         """Tests which cells are the only ones of their pixel, and seen directly."""

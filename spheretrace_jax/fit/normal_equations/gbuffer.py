@@ -121,9 +121,9 @@ class _Strip:
         entries = entries._replace(sample=number - len(layers))
         object_, turns = _objects_and_turns(samples, points, layers)
         object_ = np.where(object_ < 0, background, object_)
-        turns = turns[:, :0] if known else turns
+        turns = turns[:0] if known else turns
         # a negative number counts from the end, as layers do
-        self.cells = CellList(entries, object_[entries.sample], turns[entries.sample])
+        self.cells = CellList(entries, object_[entries.sample], turns[:, entries.sample])
         self.only, self.known, self.background = self.cells.only_cells(), known, background
         self.black = np.setdiff1d(np.arange(begin, end), self.cells.pixel)
         self.points, self.layers = _take(samples.points, points), _take(samples.layers, layers)
@@ -143,11 +143,11 @@ def _objects_and_turns(
     samples: ShadingSamples, points: np.ndarray, layers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the objects and turns of samples: of points, then of layers from the last one on."""
-    ids, turns = samples.points.hit.id[points], samples.point_contribution.turns[points]
+    ids, turns = samples.points.hit.id[points], samples.point_contribution.turns[:, points]
     if samples.layers is not None:
         back = layers[::-1]
         ids = np.concatenate([ids, samples.layers.layer.hit.id[back]])
-        turns = np.concatenate([turns, samples.layer_contribution.turns[back]])
+        turns = np.concatenate([turns, samples.layer_contribution.turns[:, back]], axis=1)
     return ids.astype(np.int32), turns
 
 
@@ -158,7 +158,7 @@ def _stacked(
     several: list[Arranged],
 ) -> GBuffer:
     """Stacks strips, filled up to the size of the largest, and that to one of few sizes."""
-    count = lambda trees: np.array([len(jax.tree.leaves(t)[0]) for t in trees], np.int32)
+    count = lambda trees: np.array([jax.tree.leaves(t)[0].shape[-1] for t in trees], np.int32)
     point_count, layer_count = count(points), np.zeros(len(points), np.int32)
     first_layer, stacked_layers = _size(point_count, POINTS), None
     if layers is not None:
@@ -166,8 +166,8 @@ def _stacked(
         stacked_layers = _stack(layers, _size(layer_count, LAYERS))
 
     def rows(arranged: list[Arranged]) -> Rows:
-        counts = count([pixel for _, pixel in arranged])
-        cells, pixel = _stack(arranged, _size(counts, 1))
+        counts = np.array([len(pixel) for _, pixel in arranged], np.int32)
+        cells, pixel = _stack(arranged, _size(counts, 1), axis=0)
         sample = np.where(cells.sample < 0, first_layer - 1 - cells.sample, cells.sample)
         cells = eqx.tree_at(lambda c: c.sample, cells, sample.astype(np.int32))
         return Rows(cells, pixel.astype(np.int32), counts)
@@ -179,9 +179,14 @@ def _stacked(
     return jax.tree.map(jnp.asarray, buffer)
 
 
-def _stack(trees: list[Any], size: int) -> Any:
-    """Stacks trees of rows, each filled up with zeros."""
-    fill = lambda x: np.concatenate([x, np.zeros((size - len(x), *x.shape[1:]), x.dtype)])
+def _stack(trees: list[Any], size: int, axis: int = -1) -> Any:
+    """Stacks trees of samples or groups, each filled up with zeros along an axis."""
+
+    def fill(x: np.ndarray) -> np.ndarray:
+        shape = list(x.shape)
+        shape[axis] = size - shape[axis]
+        return np.concatenate([x, np.zeros(shape, x.dtype)], axis=axis)
+
     return jax.tree.map(lambda *x: np.stack([fill(one) for one in x]), *trees)
 
 
@@ -192,4 +197,4 @@ def _size(counts: np.ndarray, block: int) -> int:
 
 
 def _take(tree: Any, rows: np.ndarray) -> Any:
-    return jax.tree.map(lambda x: x[rows], tree)
+    return jax.tree.map(lambda x: x[..., rows], tree)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...base.vec import Vec
+from ...base.vec import SplitVec, Vec
 from ...tracing.context import TraceContext
 from ...tracing.tables import PixelTables
 from ..model.parameters import CAMERA, LIGHTS, SPHERES
@@ -74,7 +74,7 @@ def color_and_rows(
         # way they take half as long again in both cases
         one_object = tables.spheres.radius.shape[0] == 1
         each = jax.vmap(pull) if one_object else partial(jax.lax.map, pull)
-        columns, lights = each(Vec(*seeds))
+        columns, lights = each(SplitVec(*seeds))
         columns, lights = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2), (columns, lights))
         # of colours and centres the three parts side by side; planes have no free parameters
         n = len(context.scene.spheres)

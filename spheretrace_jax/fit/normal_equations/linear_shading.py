@@ -196,8 +196,8 @@ class LinearShading(eqx.Module):
             column = jnp.pad(shine, ((0, 0), (self.linear, 0)))[:, : self.own, None]
             return jnp.concatenate([columns, column], axis=2)
 
-        names += ["exponent"] if "exponent" in self.index.spheres else []
-        places = [self.index.spheres[name].reshape(count, -1) for name in names]
+        last = ["exponent"] if "exponent" in self.index.spheres else []
+        places = [self.index.spheres[name].reshape(count, -1) for name in (*names, *last)]
         places = np.concatenate([np.zeros((count, 0), int), *places], axis=1)
         return jnp.moveaxis(jax.vmap(of_sphere)(numbers), 0, 1), places
 

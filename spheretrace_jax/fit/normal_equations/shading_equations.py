@@ -107,9 +107,9 @@ class ShadingEquations(eqx.Module):
 
     def _bases(self, samples, count: Int[Array, ""], size: int, of_block) -> Basis:
         """Returns the numbers of all samples, `size` of them at a time."""
-        total = len(jax.tree.leaves(samples)[0])
+        total = jax.tree.leaves(samples)[0].shape[-1]
         block = lambda k: jax.tree.map(
-            lambda x: lax.dynamic_slice_in_dim(x, k * size, size), samples
+            lambda x: lax.dynamic_slice_in_dim(x, k * size, size, axis=-1), samples
         )
         shape = jax.eval_shape(lambda: of_block(block(0))).shape
         basis = jnp.zeros((*shape[:2], total), self.shading.context.dtype)

@@ -132,7 +132,7 @@ class Problem(eqx.Module):
         return [float(t.noise) for t in self.targets]
 
     def pictures(self, values: PyTree) -> list[tuple[Picture, Float[Array, " 3"]]]:
-        """Returns each scene's picture and its exposure."""
+        """Returns each scene's picture and its exposure, differentiable in everything."""
         pairs = zip(self.scenes_at(values), self.settings, strict=True)
         return [(draw_replicated(scene, s), exposure) for (scene, exposure), s in pairs]
 
@@ -145,7 +145,7 @@ class Problem(eqx.Module):
         return self._with_targets(Target.trimmed, values)
 
     def _with_targets(self, change: Callable[..., Target], values: PyTree) -> "Problem":
-        pairs = zip(self.targets, self.pictures(values), strict=True)
+        pairs = zip(self.targets, pictures_at(self, values), strict=True)
         targets = tuple(change(target, *picture) for target, picture in pairs)
         return eqx.tree_at(lambda p: p.targets, self, targets)
 
@@ -202,6 +202,12 @@ def normal_at(problem: Problem, values: PyTree) -> NormalEquations:
     """
     with jax.enable_x64(True):
         return _normal_at(problem, values)
+
+
+def pictures_at(problem: Problem, values: PyTree) -> list[tuple[Picture, Float[Array, " 3"]]]:
+    """Returns `Problem.pictures` where targets count, by the program of the fit's steps."""
+    exposures = [exposure for _, exposure in problem.scenes_at(values)]
+    return list(zip(normal_at(problem, values).pictures, exposures, strict=True))
 
 
 @compiled
