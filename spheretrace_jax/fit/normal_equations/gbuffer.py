@@ -22,6 +22,7 @@ from ...rendering.shading_samples import (
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
+from ...xla.sharding import device_count, divide
 from .cells import (
     CELLS,
     SAMPLES,
@@ -67,12 +68,10 @@ class GBuffer(eqx.Module):
         return len(self.point_count)
 
 
-def make_gbuffer(scene: Scene, settings: RenderSettings, devices: int = 1) -> GBuffer:
+def make_gbuffer(scene: Scene, settings: RenderSettings) -> GBuffer:
     """Traces a picture's shading samples and arranges its rows, from the host.
 
     It takes some 60 bytes for each point and 260 for each layer, and for each row 8 bytes a sample.
-
-    **Arguments:** `devices`: the number of strips is a multiple of it.
     """
     samples, weights, reach = trace_samples(scene, settings), None, settings.samples**2
     if settings.antialias:
@@ -81,7 +80,9 @@ def make_gbuffer(scene: Scene, settings: RenderSettings, devices: int = 1) -> GB
         samples.point_contribution, samples.layer_contribution, weights, settings.width
     )
     strips = -(-settings.width * settings.height * settings.samples**2 // _STRIP)
-    strips = -(-strips // devices) * devices
+    if settings.sharding is not None:  # as many for each device
+        devices = device_count(settings.sharding)
+        strips = -(-strips // devices) * devices
     bounds = np.linspace(0, settings.height, strips + 1).astype(int) * settings.width
     known = not settings.needs.dark_paths
     parts = [
@@ -91,12 +92,13 @@ def make_gbuffer(scene: Scene, settings: RenderSettings, devices: int = 1) -> GB
     most = max(part.cells.most_in_a_pixel(SAMPLES) for part in parts)
     most = max(CELLS, 1 << (most - 1).bit_length())
     pixels = settings.width * settings.height
-    return _stacked(
+    buffer = _stacked(
         [part.points for part in parts],
         None if samples.layers is None else [part.layers for part in parts],
         [part.alone(reach, pixels) for part in parts],
         [part.several(min(SAMPLES, reach), pixels, most) for part in parts],
     )
+    return buffer if settings.sharding is None else divide(buffer, settings.sharding)
 
 
 @compiled

@@ -13,7 +13,7 @@ from ...base.types import Highlight
 from ...scene.needs import needs
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings, render_settings
-from ...xla.sharding import device_count, divide, gather_on_host, replicate
+from ...xla.sharding import gather_on_host, replicate
 from ..model.parameters import (
     CAMERA,
     GEOMETRY,
@@ -24,7 +24,7 @@ from ..model.parameters import (
     value,
 )
 from ..model.target import make_target
-from ..normal_equations.gbuffer import GBuffer, make_gbuffer
+from ..normal_equations.gbuffer import make_gbuffer
 from .problem import Problem
 
 # What a picture may have apart from other pictures of the same spheres.
@@ -83,18 +83,11 @@ def make_problem(
         targets.append(made)
     scenes, targets = replicate((scenes, targets), settings[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
+    # of all pixels: the target of a problem may be replaced by one of which others count
     buffers = tuple(
-        _buffer(one, s) if fixed else None for one, s in zip(scenes, settings, strict=True)
+        make_gbuffer(one, s) if fixed else None for one, s in zip(scenes, settings, strict=True)
     )
     return Problem(parameters, tuple(targets), tuple(settings), buffers, names)
-
-
-def _buffer(scene: Scene, settings: RenderSettings) -> GBuffer:
-    # of all pixels: the target of a problem may be replaced by one of which others count
-    if settings.sharding is None:
-        return make_gbuffer(scene, settings)
-    buffer = make_gbuffer(scene, settings, device_count(settings.sharding))
-    return divide(buffer, settings.sharding)
 
 
 def _for_each(name: str, value: Any, count: int) -> list:

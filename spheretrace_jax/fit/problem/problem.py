@@ -16,7 +16,7 @@ from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
 from ..model.parameters import ACCESSORS, Parameters
 from ..model.target import Target
-from ..normal_equations.gbuffer import GBuffer
+from ..normal_equations.gbuffer import GBuffer, make_gbuffer
 from ..normal_equations.normal_equations import NormalEquations, normal_equations
 from ..normal_equations.parameter_index import ParameterIndex
 
@@ -110,6 +110,22 @@ class Problem(eqx.Module):
             problems.append(coarse)
             side *= _COARSENING
         return problems[::-1]
+
+    @property
+    def edges_move(self) -> bool:
+        """Tells whether the lights move edges of shadows over pixels, which are covered by area."""
+        free = "light_position" in self.parameters[0].free
+        fixed = any(buffer is not None for buffer in self.buffers)
+        return free and fixed and any(s.antialias for s in self.settings)
+
+    def traced_at(self, values: PyTree) -> "Problem":
+        """Returns the problem with the shading samples of the scenes at `values`, from the host.
+
+        Where lights are free, so are the edges of their shadows: samples say which pixels have any.
+        """
+        pairs = zip(self.scenes_at(values), self.settings, strict=True)
+        buffers = tuple(make_gbuffer(scene, settings) for (scene, _), settings in pairs)
+        return eqx.tree_at(lambda p: p.buffers, self, buffers)
 
     @property
     def dtype(self) -> np.dtype:

@@ -44,8 +44,7 @@ class _Linearization(eqx.Module):
 @compiled
 def _linearize(normal: NormalEquations, values: PyTree) -> _Linearization:
     y, _ = ravel_pytree(values)
-    residual, jacobian = compress(normal)
-    return _Linearization(y, residual.astype(y.dtype), jacobian.astype(y.dtype))
+    return _Linearization(y, *compress(normal, y.dtype))
 
 
 def _linear_residual(

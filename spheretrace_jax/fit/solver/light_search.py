@@ -71,7 +71,8 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
         for parameters, target, settings in pictures
     ]
     for start_scenes in zip(*scenes, strict=False):
-        yield problem.starting_at(start_scenes)
+        started = problem.starting_at(start_scenes)
+        yield started.traced_at(started.start()) if problem.edges_move else started
 
 
 def is_separable(problem: Problem) -> bool:
