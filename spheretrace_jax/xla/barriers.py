@@ -1,7 +1,7 @@
 """Optimization barriers: values that XLA computes once, not again in each of their users."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -62,9 +62,15 @@ def barrier(values: T) -> T:
     """
     if jax.default_backend() != "cpu" or jax.__version_info__ >= (0, 12):
         return lax.optimization_barrier(values)
-    # jax 0.10 drops the barrier here, as in `compute_once`, but keeps a function not inlined
-    from jax.experimental.compute_on import compute_on2
+    # jax 0.10 drops the barrier here, as in `compute_once`, but keeps a function not inlined.
+    # (`compute_on2` would keep it too, and commit the results to a device: what is computed from
+    # them would be compiled again.)
+    from jax.experimental.xla_metadata import set_xla_metadata
 
-    device = jax.memory.Space.Device
-    identity: Any = compute_on2(lambda v: v, compute_type="device", out_memory_spaces=device)
-    return identity(values)
+    with set_xla_metadata(inlineable="false"):
+        return _identity(values)
+
+
+@jax.jit
+def _identity(values: T) -> T:
+    return values
