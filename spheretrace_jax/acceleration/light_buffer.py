@@ -149,7 +149,9 @@ def light_projection(light: Vec, spheres: int, group: Cluster) -> LightProjectio
     forward = where(dot(forward, forward) > 0.5, forward, SplitVec(*jnp.eye(3, dtype=dtype)[0]))
     near_x_axis = jnp.abs(forward.x) > 0.5
     zero, one = jnp.zeros_like(forward.x), jnp.ones_like(forward.x)
-    right = unit(cross(forward, where(near_x_axis, SplitVec(zero, one, zero), SplitVec(one, zero, zero))))
+    right = unit(
+        cross(forward, where(near_x_axis, SplitVec(zero, one, zero), SplitVec(one, zero, zero)))
+    )
     up = cross(right, forward)
     offset = anchor - light
     offset = SplitVec(dot(offset, right), dot(offset, up), dot(offset, forward))

@@ -6,7 +6,7 @@ red, green, blue.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar, Union
+from typing import TYPE_CHECKING, Any, TypeVar, Union
 
 import equinox as eqx
 import jax
@@ -26,9 +26,16 @@ class Vec(eqx.Module):
     Arithmetic on both layouts together is packed.
     """
 
-    x: eqx.AbstractVar[PixelArray]
-    y: eqx.AbstractVar[PixelArray]
-    z: eqx.AbstractVar[PixelArray]
+    if TYPE_CHECKING:
+
+        @property
+        def x(self) -> PixelArray: ...
+
+        @property
+        def y(self) -> PixelArray: ...
+
+        @property
+        def z(self) -> PixelArray: ...
 
     def __add__(self, other: "Vec") -> "Vec":
         return _by_component(jnp.add, self, other)
@@ -43,6 +50,8 @@ class Vec(eqx.Module):
         """Scales by a number per pixel, or multiplies two `Vec`s per component, as for colours."""
         if isinstance(other, Vec):
             return _by_component(jnp.multiply, self, other)
+        if isinstance(self, PackedVec):
+            return PackedVec(self.xyz * _per_vector(other))
         return jax.tree.map(lambda c: c * other, self)
 
     def __rmul__(self, other: PixelArray | float | int) -> "Vec":
@@ -52,9 +61,9 @@ class Vec(eqx.Module):
 class SplitVec(Vec):
     """Vectors as arrays `x`, `y`, `z` of one shape `(*pixels,)`, or scalars."""
 
-    x: PixelArray
-    y: PixelArray
-    z: PixelArray
+    x: PixelArray  # pyright: ignore[reportIncompatibleMethodOverride]
+    y: PixelArray  # pyright: ignore[reportIncompatibleMethodOverride]
+    z: PixelArray  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class PackedVec(Vec):
@@ -84,6 +93,11 @@ def _by_component(function: Callable[..., Array], a: Vec, b: Vec) -> Vec:
         return PackedVec(function(_packed(a).xyz, _packed(b).xyz))
     pairs = zip(components(a), components(b), strict=True)
     return SplitVec(*(function(p, q) for p, q in pairs))
+
+
+def _per_vector(number: Any) -> Any:
+    """Returns a number per pixel with an axis for the components of packed vectors."""
+    return number if jnp.ndim(number) == 0 else jnp.asarray(number)[None]
 
 
 def _packed(v: Vec) -> PackedVec:
@@ -184,7 +198,13 @@ def _per_length(a: Vec) -> PixelArray:
 def where(mask: Mask, a: T, b: T) -> T:
     """Selects per pixel `a` where the mask is set, else `b`; both are pytrees of pixel arrays."""
     pick = lambda x, y: jnp.where(mask, x, y)
-    select = lambda x, y: _by_component(pick, x, y) if _is_vec(x) else pick(x, y)
+
+    def select(x: Any, y: Any) -> Any:
+        if isinstance(x, PackedVec) or isinstance(y, PackedVec):
+            x, y = _packed(x).xyz, _packed(y).xyz
+            return PackedVec(jnp.where(_per_vector(mask), x, y))
+        return _by_component(pick, x, y) if _is_vec(x) else pick(x, y)
+
     return jax.tree.map(select, a, b, is_leaf=_is_vec)
 
 

@@ -38,7 +38,7 @@ def solution(
     """
     # functions without closures, which those that are checked at test time have
     primal, rewrite = lambda inputs: _solve(inputs), lambda *inputs: _optimality(*inputs)
-    inputs = problem, max_steps, rtol, atol
+    inputs = problem.without_stale_samples(), max_steps, rtol, atol
     values, _ = optx.internal.implicit_jvp(
         primal, rewrite, inputs, frozenset(), lx.SVD(rcond=_NULL)
     )

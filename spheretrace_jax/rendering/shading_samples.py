@@ -6,8 +6,7 @@ geometry and camera stay, samples stay, and only materials and lights are left t
 are found from the host, bounce by bounce, so that only paths that go on are traced.
 """
 
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -33,13 +32,7 @@ from ..tracing.path import all_turns, continues, first_path, next_path, turn_num
 from ..tracing.queries import closest_hit
 from ..tracing.surface import surface_at
 from ..xla.jit import compiled
-from .samples import eye_differentials, sample_positions, sample_rays
-
-T = TypeVar("T")
-
-# Rays are traced this many at a time, and pixels with edges: always as many, so that pictures of
-# any size share their programs. Larger chunks waste more in the last one.
-_RAYS, _EDGE_PIXELS = 1 << 14, 1 << 11
+from .samples import eye_differentials, sample_rays
 
 
 class PointSample(eqx.Module):
@@ -76,7 +69,7 @@ class ShadingSamples(NamedTuple):
     edge: Bool[np.ndarray, "height width"]  #: where there may be edges
 
 
-class _Way(NamedTuple):
+class Way(NamedTuple):
     """Where rays go on from what they meet."""
 
     alive: Mask
@@ -86,177 +79,16 @@ class _Way(NamedTuple):
     cone: RayCone | None
 
 
-class _Front(NamedTuple):
-    """Rays of one bounce, on the host, and how what they see counts."""
-
-    ray: Any
-    source_hit: Any
-    cone: Any
-    contribution: Contribution
-
-    def kept(self, mask: np.ndarray) -> "_Front":
-        return _take(self, np.flatnonzero(mask))
-
-
-def trace_samples(scene: Scene, settings: RenderSettings) -> ShadingSamples:
-    """Traces a picture's shading samples, from the host."""
-    return _Tracer(scene, settings).trace()
-
-
-class _Tracer:
-    """The state of `trace_samples`: the samples found so far."""
-
-    def __init__(self, scene: Scene, settings: RenderSettings):
-        self.context = _context(scene, settings)
-        self.settings, self.free_turns = settings, settings.needs.dark_paths
-        self.turns = np.asarray(_turns(self.context))
-        self.points: list[tuple[Any, Contribution]] = []
-        self.layers: list[tuple[Any, Contribution]] = []
-        self.edge = np.zeros(settings.width * settings.height, bool)
-
-    def trace(self) -> ShadingSamples:
-        settings = self.settings
-        pixels = np.arange(self.edge.size, dtype=np.int32)
-        positions = sample_positions(self.context.scene, settings)
-        for left, top in zip(*(np.asarray(p) for p in positions), strict=True):
-            self._trace_sample(pixels, left, top)
-        shape = settings.height, settings.width
-        points, point_contribution = _concatenate(self.points)
-        layers, layer_contribution = _concatenate(self.layers) if self.layers else (None, _nowhere())
-        return ShadingSamples(
-            points, point_contribution, layers, layer_contribution, self.edge.reshape(shape)
-        )
-
-    def _trace_sample(self, pixels: np.ndarray, left: np.ndarray, top: np.ndarray) -> None:
-        """Traces one sample of each pixel: single rays, and areas where they may meet edges."""
-        weight = np.full(pixels.size, self.settings.samples**-2, self.context.dtype)
-        none = np.full((self.settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
-        contribution = Contribution(pixels, weight, none)
-        look = lambda pixels: _look_from_eye(self.context, pixels, left, top)
-        met = _in_chunks(look, pixels, _RAYS)
-        front, found = None, []
-        edge = met.edge.copy()
-        for bounce in range(self.settings.bounces + 1):
-            if front is not None:
-                where = front.contribution.pixel
-                met = self._meet(front, bounce)
-                edge[where[met.edge]] = True
-                contribution = front.contribution
-            found.append((met.point, met.seen, contribution))
-            if bounce == self.settings.bounces:
-                break
-            front = self._onward(met.ways, contribution, bounce)
-            if not front.contribution.pixel.size:
-                break
-        for point, seen, contribution in found:
-            at = np.flatnonzero(seen & ~edge[contribution.pixel])
-            self.points.append(_take((point, contribution), at))
-        self.edge |= edge
-        if edge.any():
-            self._cover(pixels[edge], left, top)
-
-    def _meet(self, front: _Front, bounce: int) -> Any:
-        """Returns what the rays of a bounce after the first hit meet."""
-        look = np.asarray(bounce == 1)
-        meet = lambda rays: _meet(self.context, *rays, look)
-        return _in_chunks(meet, (front.ray, front.source_hit, front.cone), _RAYS)
-
-    def _onward(self, ways: tuple[Any, ...], contribution: Contribution, bounce: int) -> _Front:
-        """Returns the rays on from what others met, as they count."""
-        fronts = []
-        for way in ways:
-            on = self._turned(contribution, way.turn, bounce)
-            front = _Front(way.ray, way.source_hit, way.cone, on)
-            fronts.append(front.kept(way.alive))
-        return _concatenate(fronts)
-
-    def _turned(self, contribution: Contribution, turn: np.ndarray, bounce: int) -> Contribution:
-        """Returns how what is seen counts beyond a mirror or a bubble."""
-        pixel, weight, turns = contribution
-        if not self.free_turns:
-            return Contribution(pixel, weight * self.turns[turn], turns)
-        turns = turns.copy()
-        turns[bounce] = turn
-        return Contribution(pixel, weight, turns)
-
-    # -- edges
-
-    def _cover(self, pixels: np.ndarray, left: np.ndarray, top: np.ndarray) -> None:
-        """Covers pixels with edges by layers, and those in what they see first."""
-        settings = self.settings
-        weight = np.full(pixels.size, settings.samples**-2, self.context.dtype)
-        none = np.full((settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
-        nothing = Hit(np.full(pixels.size, -1, self.context.tables.id_type), pixels < 0)
-        look = lambda pixels: _eye_differentials(self.context, pixels, left, top)
-        ray = _in_chunks(look, pixels, _EDGE_PIXELS)
-        front = _Front(ray, nothing, None, Contribution(pixels, weight, none))
-        for bounce in range(min(settings.bounces, 1) + 1):
-            front = self._cover_front(front, bounce)
-            if front is None:
-                return
-        # behind the second mirror or bubble single rays are followed
-        front = front._replace(ray=_split(front.ray.value))
-        for bounce in range(2, settings.bounces + 1):
-            met = self._meet(front, bounce)
-            at = np.flatnonzero(met.seen)
-            self.points.append(_take((met.point, front.contribution), at))
-            if bounce < settings.bounces:
-                front = self._onward(met.ways, front.contribution, bounce)
-            if not front.contribution.pixel.size:
-                return
-
-    def _cover_front(self, front: _Front, bounce: int) -> _Front | None:
-        """Covers what rays with their differentials see; returns the rays on from there."""
-        on: list[_Front] = []
-        size = front.contribution.pixel.size
-        for first in range(0, size, _EDGE_PIXELS):
-            part = _take(front, np.arange(first, min(first + _EDGE_PIXELS, size)))
-            layers = lambda inputs: _find_layers(self.context, *inputs)
-            seen = _in_chunks(layers, (part.ray, part.source_hit), _EDGE_PIXELS)
-            for k in range(seen.shown.shape[0]):
-                at = np.flatnonzero(seen.shown[k] & (seen.area[k] > 0))
-                if not at.size:
-                    continue
-                rays, contribution = _take((part.ray, part.contribution), at)
-                weight = contribution.weight * seen.area[k][at]
-                contribution = contribution._replace(weight=weight)
-                sample = jax.tree.map(lambda x, k=k, at=at: x[k][..., at], seen.sample)
-                self.layers.append((sample, contribution))
-                if bounce < self.settings.bounces:
-                    on += self._onward_from(rays, sample.layer.hit, contribution, bounce)
-            if self.context.needs.background:
-                contribution = part.contribution
-                weight = contribution.weight * seen.uncovered[0]
-                self.points.append((seen.sky, contribution._replace(weight=weight)))
-        return _concatenate(on) if on else None
-
-    def _onward_from(
-        self, rays: Any, hit: Hit, contribution: Contribution, bounce: int
-    ) -> Iterator[_Front]:
-        """Yields the rays on from layers, with their differentials."""
-        for choice in range(2 if self.context.needs.branching else 1):
-            number = np.asarray(choice, np.int32)
-            look = lambda inputs, n=number: _onward_from_layer(self.context, *inputs, n)
-            way = _in_chunks(look, (rays, hit), _EDGE_PIXELS)
-            turned = self._turned(contribution, way.turn, bounce)
-            front = _Front(way.ray, way.source_hit, way.cone, turned).kept(way.alive)
-            if front.contribution.pixel.size:
-                yield front
-
-
-# -- what is compiled
-
-
-class _Met(NamedTuple):
+class RaysMet(NamedTuple):
     """What rays meet."""
 
     point: PointSample
     seen: Mask
     edge: Mask
-    ways: tuple[_Way, ...]
+    ways: tuple[Way, ...]
 
 
-class _Seen(NamedTuple):
+class LayersSeen(NamedTuple):
     """The layers of pixels, and the sky behind them."""
 
     sample: LayerSample
@@ -267,17 +99,17 @@ class _Seen(NamedTuple):
 
 
 @compiled
-def _context(scene: Scene, settings: RenderSettings) -> TraceContext:
+def sample_context(scene: Scene, settings: RenderSettings) -> TraceContext:
     return build_context(scene, settings)
 
 
 @compiled
-def _turns(context: TraceContext) -> Float[Array, " turns"]:
+def turn_values(context: TraceContext) -> Float[Array, " turns"]:
     return all_turns(context)
 
 
 @compiled
-def _look_from_eye(context: TraceContext, pixels: Ids, left: Array, top: Array) -> _Met:
+def look_from_eye(context: TraceContext, pixels: Ids, left: Array, top: Array) -> RaysMet:
     scene, settings = context.scene, context.settings
     ray, cone = sample_rays(scene, settings, pixels, left, top), None
     if settings.antialias:
@@ -287,15 +119,15 @@ def _look_from_eye(context: TraceContext, pixels: Ids, left: Array, top: Array) 
 
 
 @compiled
-def _meet(
+def meet(
     context: TraceContext, ray: Ray, source_hit: Hit, cone: RayCone | None, look: Mask
-) -> _Met:
+) -> RaysMet:
     return _met(context, ray, source_hit, cone, look)
 
 
 def _met(
     context: TraceContext, ray: Ray, source_hit: Hit | None, cone: RayCone | None, look: Mask
-) -> _Met:
+) -> RaysMet:
     """Returns what rays meet, and the rays on. **Arguments:** `look`: whether to look for edges."""
     hit = closest_hit(context, ray, source_hit)
     nowhere = jnp.full(hit.id.shape, False)
@@ -309,10 +141,10 @@ def _met(
         for choice in range(2 if context.needs.branching else 1):
             on = next_path(context, path, choice, surface)
             turn = turn_number(context, hit, choice)
-            ways.append(_Way(continues(context, path, choice), turn, on.ray, on.hit, on.cone))
+            ways.append(Way(continues(context, path, choice), turn, on.ray, on.hit, on.cone))
     point = PointSample(hit, surface, ray.direction, _tint(context, hit, surface, ray.direction))
     seen = ~nowhere if context.needs.background else hit.id >= 0
-    return _Met(point, seen, edge, tuple(ways))
+    return RaysMet(point, seen, edge, tuple(ways))
 
 
 def _tint(context: TraceContext, hit: Hit, surface: Surface, direction: Vec) -> Vec | None:
@@ -323,7 +155,7 @@ def _tint(context: TraceContext, hit: Hit, surface: Surface, direction: Vec) -> 
 
 
 @compiled
-def _eye_differentials(
+def rays_with_differentials(
     context: TraceContext, pixels: Ids, left: Array, top: Array
 ) -> Differential[Ray]:
     ray = eye_differentials(context, pixels, left, top)
@@ -331,7 +163,7 @@ def _eye_differentials(
 
 
 @compiled
-def _find_layers(context: TraceContext, ray: Differential[Ray], source_hit: Hit) -> _Seen:
+def find_layers(context: TraceContext, ray: Differential[Ray], source_hit: Hit) -> LayersSeen:
     everywhere = jnp.full(ray.value.direction.x.shape, True)
     (layer, shown, area), uncovered = visible_layers(context, ray, everywhere, source_hit)
     direction = ray.value.direction
@@ -342,46 +174,15 @@ def _find_layers(context: TraceContext, ray: Differential[Ray], source_hit: Hit)
         surface = split(jax.tree.map(lambda x: jnp.zeros_like(x[0]), layer.surface))
         color = _tint(context, nothing, surface, direction)
         sky = PointSample(nothing, surface, split(direction), color)
-    return _Seen(LayerSample(layer, tint), shown, area, uncovered[None], sky)
+    return LayersSeen(LayerSample(layer, tint), shown, area, uncovered[None], sky)
 
 
 @compiled
-def _onward_from_layer(
+def onward_from_layer(
     context: TraceContext, ray: Differential[Ray], hit: Hit, choice: Index
-) -> _Way:
+) -> Way:
     everywhere = jnp.full(hit.id.shape, True)
     on, path = secondary_differential(context, ray, hit, everywhere, choice)
     alive = continues(context, first_path(ray.value, hit, everywhere), choice)
     zero = jnp.zeros_like(ray.value.direction.x)
-    return _Way(alive, turn_number(context, hit, choice), on, path.hit, RayCone(zero, zero))
-
-
-# -- on the host
-
-
-def _in_chunks(function: Callable[[Any], T], inputs: Any, size: int) -> T:
-    """Applies a compiled function to samples, `size` at a time, and joins the results in NumPy."""
-    count = jax.tree.leaves(inputs)[0].shape[-1]
-    parts = []
-    for first in range(0, max(count, 1), size):
-        rows = np.minimum(np.arange(first, first + size), count - 1)
-        parts.append((function(_take(inputs, rows)), min(size, count - first)))
-    parts = [jax.tree.map(lambda x, n=n: np.asarray(x)[..., :n], part) for part, n in parts]
-    return parts[0] if len(parts) == 1 else _concatenate(parts)
-
-
-def _take(tree: T, rows: np.ndarray) -> T:
-    return jax.tree.map(lambda x: np.asarray(x)[..., rows], tree)
-
-
-def _concatenate(trees: list[T]) -> T:
-    return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *trees)
-
-
-def _split(ray: Ray) -> Ray:
-    """Returns rays with split vectors, in NumPy."""
-    return jax.tree.map(np.asarray, split(ray))
-
-
-def _nowhere() -> Contribution:
-    return Contribution(np.zeros(0, np.int32), np.zeros(0), np.zeros((0, 0), np.int32))
+    return Way(alive, turn_number(context, hit, choice), on, path.hit, RayCone(zero, zero))

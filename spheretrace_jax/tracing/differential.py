@@ -50,7 +50,9 @@ class Differential(eqx.Module, Generic[T]):
 
     def at(self, x: PixelArray, y: PixelArray) -> "Differential[T]":
         """Moves the expansion point by x pixels to the right and y down (first order)."""
-        moved = jax.tree.map(lambda v, s: v + x * s[0] + y * s[1], self.value, self.slopes)
+        lift = lambda p, v: p[None] if jnp.ndim(v) > jnp.ndim(p) else p
+        move = lambda v, s: v + lift(x, v) * s[0] + lift(y, v) * s[1]
+        moved = jax.tree.map(move, self.value, self.slopes)
         whole = lambda s, v: jnp.broadcast_to(s, (2, *v.shape))
         return Differential(barrier(moved), jax.tree.map(whole, self.slopes, moved))
 

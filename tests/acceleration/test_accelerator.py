@@ -181,7 +181,9 @@ def test_same_pictures_and_gradients(draw, monkeypatch):
 
 def test_same_hits_of_any_rays():
     scene, rng = cloud(), np.random.default_rng(0)
-    origin, direction = (SplitVec(*jnp.asarray(rng.standard_normal((3, 100, 90)))) for _ in range(2))
+    origin, direction = (
+        SplitVec(*jnp.asarray(rng.standard_normal((3, 100, 90)))) for _ in range(2)
+    )
     ray = Ray(origin * 100, unit(direction))
     no_source = Hit(jnp.full((100, 90), COUNT, jnp.int16), jnp.full((100, 90), False))
     found = accelerated(scene, lambda context: closest_hit(context, ray, no_source))

@@ -33,7 +33,13 @@ def square_disc(x, y, radius):
     """Returns the fraction of pixels at x, y inside a disc around the origin."""
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     axis = SplitVec(zero, zero, one)
-    return disc(SplitVec(x, y, zero), SplitVec(one, zero, zero), SplitVec(zero, one, zero), axis, radius * one)
+    return disc(
+        SplitVec(x, y, zero),
+        SplitVec(one, zero, zero),
+        SplitVec(zero, one, zero),
+        axis,
+        radius * one,
+    )
 
 
 def random_discs(n: int) -> tuple[np.ndarray, ...]:

@@ -24,11 +24,13 @@ ROWS, CELLS, SAMPLES = 1 << 9, 1 << 12, 5
 class Cells(eqx.Module):
     """Sums of samples of one object, seen through the same mirrors and bubbles."""
 
-    sample: Int[Array, "*n samples"]  #: points from 0 on, layers from -1 down
-    weight: Float[Array, "*n samples"]
-    object: Int[Array, "*n"]  #: the background comes after the last object
-    turns: Int[Array, "*n bounces"] | None  #: factors of the weight; None where all are known
-    row: Int[Array, "*n"]  #: of its group, in which row it is; `ROWS` for none
+    sample: Int[Array | np.ndarray, "*n samples"]  #: points from 0 on, layers from -1 down
+    weight: Float[Array | np.ndarray, "*n samples"]
+    object: Int[Array | np.ndarray, "*n"]  #: the background comes after the last object
+    turns: (
+        Int[Array | np.ndarray, "*n bounces"] | None
+    )  #: factors of the weight; None where all are known
+    row: Int[Array | np.ndarray, "*n"]  #: of its group, in which row it is; `ROWS` for none
 
 
 class Entries(NamedTuple):
@@ -117,7 +119,7 @@ class CellList:
         return made, self.pixel[cell]
 
 
-Arranged = tuple[Cells, Int[np.ndarray, "groups rows"]]
+Arranged = tuple[Cells, np.ndarray]
 """Cells in groups, and the pixels of each group's rows: the number of pixels for no row."""
 
 

@@ -4,6 +4,7 @@ Most pixels show one object: their rows have its columns alone, and come in chun
 each. The rows of all other pixels have columns for every object.
 """
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -13,16 +14,13 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from ...rendering.pixel_filter import filter_weights
-from ...rendering.shading_samples import (
-    LayerSample,
-    PointSample,
-    ShadingSamples,
-    trace_samples,
-)
+from ...rendering.sample_tracer import trace_samples
+from ...rendering.shading_samples import LayerSample, PointSample, ShadingSamples
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
 from ...xla.sharding import device_count, divide
+from ..model.parameters import ACCESSORS
 from .cells import (
     CELLS,
     SAMPLES,
@@ -61,6 +59,7 @@ class GBuffer(eqx.Module):
     layer_count: Int[Array, " strips"]
     alone: Rows  #: of pixels that show one object: `(strips, chunks, CHUNK)`
     several: Rows  #: of all others: `(strips, groups, CELLS)`
+    fixed: list[Array]  #: what the scene has that is not free, as it was traced
 
     @property
     def strips(self) -> int:
@@ -68,14 +67,24 @@ class GBuffer(eqx.Module):
         return len(self.point_count)
 
 
-def make_gbuffer(scene: Scene, settings: RenderSettings) -> GBuffer:
+def fixed_arrays(scene: Scene, free: tuple[str, ...]) -> list[Array]:
+    """Returns the arrays of a scene that a fit leaves as they are."""
+    places = lambda scene: [ACCESSORS[name](scene) for name in free if name != "exposure"]
+    fixed = eqx.tree_at(places, scene, replace_fn=lambda _: None)
+    return [x for x in jax.tree.leaves(fixed) if eqx.is_array(x)]
+
+
+def make_gbuffer(scene: Scene, settings: RenderSettings, free: tuple[str, ...]) -> GBuffer:
     """Traces a picture's shading samples and arranges its rows, from the host.
 
     It takes some 60 bytes for each point and 260 for each layer, and for each row 8 bytes a sample.
     """
     samples, weights, reach = trace_samples(scene, settings), None, settings.samples**2
     if settings.antialias:
-        weights, reach = np.asarray(_filter_weights(scene, samples.edge, settings)), 5 * reach
+        weights, reach = (
+            np.asarray(_filter_weights(scene, jnp.asarray(samples.edge), settings)),
+            5 * reach,
+        )
     entries = make_entries(
         samples.point_contribution, samples.layer_contribution, weights, settings.width
     )
@@ -87,7 +96,7 @@ def make_gbuffer(scene: Scene, settings: RenderSettings) -> GBuffer:
     known = not settings.needs.dark_paths
     parts = [
         _Strip(samples, entries.between(begin, end), scene.objects, known, begin, end)
-        for begin, end in zip(bounds[:-1], bounds[1:], strict=True)
+        for begin, end in itertools.pairwise(bounds.tolist())
     ]
     most = max(part.cells.most_in_a_pixel(SAMPLES) for part in parts)
     most = max(CELLS, 1 << (most - 1).bit_length())
@@ -98,7 +107,9 @@ def make_gbuffer(scene: Scene, settings: RenderSettings) -> GBuffer:
         [part.alone(reach, pixels) for part in parts],
         [part.several(min(SAMPLES, reach), pixels, most) for part in parts],
     )
-    return buffer if settings.sharding is None else divide(buffer, settings.sharding)
+    if settings.sharding is not None:
+        buffer = divide(buffer, settings.sharding)
+    return eqx.tree_at(lambda b: b.fixed, buffer, fixed_arrays(scene, free))
 
 
 @compiled
@@ -145,10 +156,13 @@ def _objects_and_turns(
     samples: ShadingSamples, points: np.ndarray, layers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the objects and turns of samples: of points, then of layers from the last one on."""
-    ids, turns = samples.points.hit.id[points], samples.point_contribution.turns[:, points]
+    ids, turns = (
+        np.asarray(samples.points.hit.id)[points],
+        samples.point_contribution.turns[:, points],
+    )
     if samples.layers is not None:
         back = layers[::-1]
-        ids = np.concatenate([ids, samples.layers.layer.hit.id[back]])
+        ids = np.concatenate([ids, np.asarray(samples.layers.layer.hit.id)[back]])
         turns = np.concatenate([turns, samples.layer_contribution.turns[:, back]], axis=1)
     return ids.astype(np.int32), turns
 
@@ -172,12 +186,11 @@ def _stacked(
         cells, pixel = _stack(arranged, _size(counts, 1), axis=0)
         sample = np.where(cells.sample < 0, first_layer - 1 - cells.sample, cells.sample)
         cells = eqx.tree_at(lambda c: c.sample, cells, sample.astype(np.int32))
-        return Rows(cells, pixel.astype(np.int32), counts)
+        return Rows(cells, jnp.asarray(pixel, jnp.int32), jnp.asarray(counts))
 
     stacked_points = _stack(points, first_layer)
-    buffer = GBuffer(
-        stacked_points, stacked_layers, point_count, layer_count, rows(alone), rows(several)
-    )
+    counts = jnp.asarray(point_count), jnp.asarray(layer_count)
+    buffer = GBuffer(stacked_points, stacked_layers, *counts, rows(alone), rows(several), [])
     return jax.tree.map(jnp.asarray, buffer)
 
 

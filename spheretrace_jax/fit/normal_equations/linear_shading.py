@@ -89,7 +89,7 @@ class LinearShading(eqx.Module):
         one = jnp.ones((1, *ids.shape), context.dtype)
         u, h, by_exponent, u_slope, h_slope = parts or [one[:0]] * 5
         u = jnp.concatenate([one, u])
-        channels = (1,) if tint is None else components(tint)
+        channels = [one] if tint is None else [t[None] for t in components(tint)]
         numbers = [(u * t, h, by_exponent, u_slope * t, h_slope) for t in channels]
         return jnp.stack([jnp.concatenate(x) for x in numbers])
 
@@ -141,7 +141,7 @@ class LinearShading(eqx.Module):
         needs = dataclasses.replace(self.context.needs, textures=False, checkers=False)
         context = self.context.with_settings(needs=needs)
         row = context.tables.shared.row(jnp.asarray(number, jnp.int32))
-        is_plane, materials = context.tables.is_plane(number), row.materials
+        is_plane, materials = context.tables.is_plane(jnp.asarray(number)), row.materials
         color = where(is_plane, grey(jnp.ones_like(materials.ka)), materials.color)
         row = eqx.tree_at(lambda r: r.materials.color, row, color)
         if names := [name for name in free if name in TABLE_COLUMNS]:
@@ -182,7 +182,7 @@ class LinearShading(eqx.Module):
         numbers = jnp.arange(count, dtype=jnp.int32)
 
         def of_sphere(number: Index) -> Float[Array, "3 own columns"]:
-            row = self.context.tables.shared.row(number)
+            row = self.context.tables.shared.row(jnp.asarray(number))
             start = {name: TABLE_COLUMNS[name](row) for name in names}
             by = jax.jacrev(lambda free: self.factors(number, free))(start)
             leaves = [leaf for name in names for leaf in jax.tree.leaves(by[name])]

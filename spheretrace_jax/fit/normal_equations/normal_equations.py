@@ -9,7 +9,6 @@ from collections.abc import Callable
 from functools import partial
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -139,6 +138,7 @@ def _of_samples(
         sums = sums_of((scene, exposure, target, settings), buffer)
     else:
         whole = scene, exposure, target, settings.of_device
+        buffer = eqx.tree_at(lambda b: b.fixed, buffer, [])
         sums = on_devices(sums_of, settings.sharding, whole, buffer, joined=True)
     context = build_context(scene, settings, accelerated=False)
     equations = ShadingEquations(context, target, exposure, index)

@@ -15,14 +15,14 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ...antialiasing.compositing import layer_light_terms
-from ...base.types import Index, Picture
+from ...base.types import Index
 from ...rendering.shading_samples import LayerSample, PointSample
 from ...scene.camera import Ray
 from ...tracing.context import TraceContext
 from ...tracing.path import all_turns, light_terms_at
 from ...xla.loops import keep_loop_parallel, loop
 from ..model.target import Target
-from .cells import CHUNK, ROWS, Cells
+from .cells import ROWS, Cells
 from .gbuffer import LAYERS, POINTS, GBuffer, Rows
 from .linear_shading import Basis, LinearShading
 from .parameter_index import ParameterIndex
@@ -82,6 +82,7 @@ class ShadingEquations(eqx.Module):
 
     def sums(self, buffer: GBuffer, pixels: int) -> ShadingSums:
         """Sums the products of all strips."""
+        buffer = eqx.tree_at(lambda b: b.fixed, buffer, [])
         size = self.objects * self.shading.own + self.extras
         dtype = jnp.promote_types(self.shading.context.dtype, jnp.result_type(float))
         start = ShadingSums(
@@ -89,11 +90,8 @@ class ShadingEquations(eqx.Module):
         )
         if len(buffer.point_count) == 1:
             return self._add_strip(start, jax.tree.map(lambda x: x[0], buffer))[0]
-        return lax.scan(self._add_strip_of(), start, buffer)[0]
-
-    def _add_strip_of(self):
         # no bound method: `scan` hashes its function, and a module of arrays has no hash
-        return lambda sums, strip: self._add_strip(sums, strip)
+        return lax.scan(lambda sums, strip: self._add_strip(sums, strip), start, buffer)[0]
 
     def _add_strip(self, sums: ShadingSums, strip: GBuffer) -> tuple[ShadingSums, None]:
         basis = self._bases(strip.points, strip.point_count, POINTS, self._point_basis)
@@ -115,7 +113,7 @@ class ShadingEquations(eqx.Module):
         basis = jnp.zeros((*shape[:2], total), self.shading.context.dtype)
 
         def add(k: Index, basis: Basis) -> Basis:
-            k = keep_loop_parallel(k)
+            k = keep_loop_parallel(jnp.asarray(k))
             return lax.dynamic_update_slice_in_dim(basis, of_block(block(k)), k * size, axis=2)
 
         return lax.fori_loop(0, -(-count // size), add, basis)
@@ -141,7 +139,8 @@ class ShadingEquations(eqx.Module):
         # sample by sample: gathered at once, and then summed, it takes 70 times as long
         def add(k: Index, total: Basis) -> Basis:
             sample, weight = cells.sample[..., k], cells.weight[..., k]
-            return total + basis.at[:, :, sample].get(mode="promise_in_bounds") * weight
+            taken = basis.at[:, :, sample].get(mode="promise_in_bounds")
+            return total + taken * weight[None, None]
 
         start = jnp.zeros((*basis.shape[:2], *cells.row.shape), basis.dtype)
         return loop(cells.sample.shape[-1], add, start)
@@ -172,10 +171,10 @@ class ShadingEquations(eqx.Module):
     def _add_alone(self, sums: ShadingSums, rows: Rows, basis: Basis) -> ShadingSums:
         """Adds pixels that show one object each, chunk by chunk."""
         shading, own = self.shading, self.shading.own
-        numbers = jnp.arange(own + self.extras, dtype=jnp.int32)
+        numbers = jnp.arange(own + self.extras, dtype=jnp.int32)[None]
 
         def add(k: Index, sums: ShadingSums) -> ShadingSums:
-            k = keep_loop_parallel(k)
+            k = keep_loop_parallel(jnp.asarray(k))
             at = k * _CHUNKS + jnp.arange(_CHUNKS, dtype=jnp.int32)
             cells, pixel = jax.tree.map(
                 lambda x: x.at[at].get(mode="clip"), (rows.cells, rows.pixel)
@@ -192,11 +191,9 @@ class ShadingEquations(eqx.Module):
             parts = [of_cells[:, :own] * slope[:, None], *extras]
             a = jnp.concatenate(parts, axis=1).astype(sums.products.dtype)
             products = jnp.einsum("canr,cbnr->ncab", a, a)
-            place = jnp.where(
-                numbers < own,
-                object_[:, None] * own + numbers,
-                (self.objects - 1) * own + numbers,
-            )
+            # the numbers of the object, and after those of all objects what rows have beside them
+            holder = jnp.where(numbers < own, object_[:, None], self.objects - 1)
+            place = holder * own + numbers
             added = sums.products.at[:, place[:, :, None], place[:, None, :]].add(
                 jnp.moveaxis(products, 0, 1)
             )
@@ -210,7 +207,7 @@ class ShadingEquations(eqx.Module):
         shading, own = self.shading, self.shading.own
 
         def add(k: Index, sums: ShadingSums) -> ShadingSums:
-            k = keep_loop_parallel(k)
+            k = keep_loop_parallel(jnp.asarray(k))
             cells, pixel = jax.tree.map(lambda x: x[k], (rows.cells, rows.pixel))
             factors = jnp.moveaxis(self.factors[cells.object], 0, -1)
             of_cells = self._cell_basis(cells, basis)
@@ -240,18 +237,23 @@ class ShadingEquations(eqx.Module):
 
         return lax.fori_loop(0, rows.count, add, sums)
 
-    def _turned(self, cells, of_cells, factors):
+    def _turned(
+        self, cells: Cells, of_cells: Basis, factors: Float[Array, "3 x cells"]
+    ) -> tuple[Basis, Float[Array, "3 bounces cells"]]:
         """Returns the numbers of cells times kgr and kt on their way, and the colours by each."""
-        assert self.turns is not None
+        assert self.turns is not None and cells.turns is not None
         values = self.turns[cells.turns]
         bounces = values.shape[-1]
         others = ~np.eye(bounces, dtype=bool)
-        rest = jnp.prod(jnp.where(others, values[:, None, :], 1), axis=-1)
+        rest = jnp.prod(jnp.where(others[None], values[:, None, :], 1), axis=-1)
         seen = self.shading.seen(of_cells, factors)
-        return of_cells * jnp.prod(values, axis=-1), seen[:, None] * rest.T
+        return of_cells * jnp.prod(values, axis=-1)[None, None], seen[:, None] * rest.T[None]
 
-    def _turn_columns(self, cells: Cells, by_turns) -> Float[Array, "3 turns rows"]:
-        assert self.turns is not None
+    def _turn_columns(
+        self, cells: Cells, by_turns: Float[Array, "3 bounces cells"]
+    ) -> Float[Array, "3 turns rows"]:
+        """Returns the derivatives by kgr and kt of the rows that cells are in."""
+        assert self.turns is not None and cells.turns is not None
         columns = jnp.zeros((ROWS, self.turns.size, 3), by_turns.dtype)
         row = jnp.broadcast_to(cells.row[:, None], cells.turns.shape)
         columns = columns.at[row, cells.turns].add(

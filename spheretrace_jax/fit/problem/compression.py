@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, PyTree
 from ..normal_equations.normal_equations import NormalEquations
 from .problem import Problem
 
-# The part of a column of J, in rounding errors, up to which it is nothing but rounding. Smaller ones
-# move along what no picture shows; a larger one freezes what hardly shows.
+# The part of a column of J, in rounding errors, that is nothing but rounding. A smaller one moves
+# along what no picture shows, a larger one freezes what hardly shows.
 _ROUNDING = 4
 
 
@@ -45,7 +45,8 @@ def compress(
     scale = jnp.where(scale > 0, scale, 1)
     values, vectors = jnp.linalg.eigh(normal.square / scale[:, None] / scale[None, :])
     # the rounding errors of J^T J, or the squares of those of J, if these are larger
-    rounding = max(float(jnp.finfo(values.dtype).eps), (_ROUNDING * float(jnp.finfo(dtype).eps)) ** 2)
+    eps = lambda dtype: float(jnp.finfo(dtype).eps)
+    rounding = max(eps(values.dtype), (_ROUNDING * eps(dtype)) ** 2)
     determined = values > n * rounding * jnp.max(values)
     root = jnp.sqrt(jnp.where(determined, values, 1))
     # the symmetric root: another would turn with every rounding, and seem to move

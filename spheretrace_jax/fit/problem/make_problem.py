@@ -12,7 +12,7 @@ from ...base.errors import InputError
 from ...base.types import Highlight
 from ...scene.needs import needs
 from ...scene.scene import Scene
-from ...scene.settings import RenderSettings, render_settings
+from ...scene.settings import render_settings
 from ...xla.sharding import gather_on_host, replicate
 from ..model.parameters import (
     CAMERA,
@@ -84,9 +84,8 @@ def make_problem(
     scenes, targets = replicate((scenes, targets), settings[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
     # of all pixels: the target of a problem may be replaced by one of which others count
-    buffers = tuple(
-        make_gbuffer(one, s) if fixed else None for one, s in zip(scenes, settings, strict=True)
-    )
+    buffer = lambda scene, settings: make_gbuffer(scene, settings, free) if fixed else None
+    buffers = tuple(map(buffer, scenes, settings))
     return Problem(parameters, tuple(targets), tuple(settings), buffers, names)
 
 

@@ -11,12 +11,13 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from ...base.types import Picture
 from ...rendering.render import draw_replicated
+from ...scene.arrays import is_traced
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
 from ..model.parameters import ACCESSORS, Parameters
 from ..model.target import Target
-from ..normal_equations.gbuffer import GBuffer, make_gbuffer
+from ..normal_equations.gbuffer import GBuffer, fixed_arrays, make_gbuffer
 from ..normal_equations.normal_equations import NormalEquations, normal_equations
 from ..normal_equations.parameter_index import ParameterIndex
 
@@ -124,8 +125,27 @@ class Problem(eqx.Module):
         Where lights are free, so are the edges of their shadows: samples say which pixels have any.
         """
         pairs = zip(self.scenes_at(values), self.settings, strict=True)
-        buffers = tuple(make_gbuffer(scene, settings) for (scene, _), settings in pairs)
+        free = self.parameters[0].free
+        buffers = tuple(make_gbuffer(scene, settings, free) for (scene, _), settings in pairs)
         return eqx.tree_at(lambda p: p.buffers, self, buffers)
+
+    def without_stale_samples(self) -> "Problem":
+        """Returns the problem without shading samples that may be those of another scene.
+
+        Samples are known to be the scene's where nothing that is not free was replaced or is traced
+        by JAX, and no edge moves. Without them pixels are traced at every step.
+        """
+
+        def fresh(parameters: Parameters, buffer: GBuffer | None) -> GBuffer | None:
+            fixed = fixed_arrays(parameters.scene, parameters.free)
+            if buffer is None or self.edges_move or any(map(is_traced, fixed)):
+                return None
+            same = bool(eqx.tree_equal(fixed, buffer.fixed))
+            return buffer if same else None
+
+        buffers = tuple(map(fresh, self.parameters, self.buffers))
+        none = lambda x: x is None
+        return eqx.tree_at(lambda p: p.buffers, self, buffers, is_leaf=none)
 
     @property
     def dtype(self) -> np.dtype:
