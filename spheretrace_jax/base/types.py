@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 Scalar = Float[Array, ""]
@@ -24,3 +25,8 @@ Picture = Float[Array, "height width 3"]
 
 Highlight = Literal["phong", "blinn"]
 """The highlight model: Phong's (R.V)^n or the halfway vector's (H.N)^n."""
+
+
+def widest_float(dtype: jnp.dtype) -> jnp.dtype:
+    """Returns double precision where JAX has it (`jax_enable_x64`), else the dtype."""
+    return max(jnp.dtype(dtype), jnp.dtype(jnp.result_type(float)), key=lambda d: d.itemsize)

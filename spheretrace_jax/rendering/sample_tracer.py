@@ -136,8 +136,8 @@ class _Tracer:
         settings = self.settings
         weight = np.full(pixels.size, settings.samples**-2, self.context.dtype)
         none = np.full((settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
-        none_hit: Any = np.full(pixels.size, -1, self.context.tables.id_type), pixels < 0
-        nothing = Hit(*none_hit)
+        nowhere = jnp.full(pixels.size, False)
+        nothing = Hit(jnp.full(pixels.size, -1, self.context.tables.id_type), nowhere)
         look = lambda pixels: rays_with_differentials(self.context, pixels, left, top)
         ray = _in_chunks(look, pixels, _EDGE_PIXELS)
         front = _Front(ray, nothing, None, Contribution(pixels, weight, none))
@@ -223,4 +223,4 @@ def _split(ray: Ray) -> Ray:
 
 
 def _nowhere() -> Contribution:
-    return Contribution(np.zeros(0, np.int32), np.zeros(0), np.zeros((0, 0), np.int32))
+    return Contribution(np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros((0, 0), np.int32))

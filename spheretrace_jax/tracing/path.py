@@ -130,7 +130,9 @@ def turn_number(context: TraceContext, hit: Hit, choice: Index) -> Ids:
     """Returns which of `all_turns` a path's weight is multiplied by as it goes on from a hit."""
     straight, _ = _turn(context, hit, choice)
     number = hit.id.astype(jnp.int32)
-    return number if straight is None else number + straight * context.tables.object_count
+    if straight is None:
+        return number
+    return number + jnp.where(straight, context.tables.object_count, 0).astype(number.dtype)
 
 
 def all_turns(context: TraceContext) -> Float[Array, " turns"]:

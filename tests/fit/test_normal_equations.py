@@ -161,7 +161,7 @@ def test_float32_sums():
         problem_of(nine_spheres(SHADOWED, d), SHADED, {}, {}) for d in (np.float64, np.float32)
     )
     a, b = (normal(p, p.start()) for p in (double, single))
-    assert b.square.dtype == jnp.float32
+    assert b.pictures[0].dtype == jnp.float32 and b.square.dtype == jnp.float64
     scale = np.sqrt(np.maximum(np.diag(a.square), 1e-12))
     both = np.outer(scale, scale)
     # an exponent of 250 makes rounding errors of float32 that many times larger

@@ -28,7 +28,7 @@ from .parameter_index import ParameterIndex
 Terms = Callable[[Vec, bool, PixelArray], tuple[PixelArray, PixelArray]]
 """From a light's position, whether it may be blocked, and exponents, to u and h of samples."""
 
-Basis = Float[Array, "channels numbers *n"]
+Basis = Float[Array, "_ _ ..."]
 """The numbers of samples; one channel stands for all three where nothing is tinted."""
 
 
@@ -95,7 +95,7 @@ class LinearShading(eqx.Module):
 
     def _of_light(
         self, terms: Terms, place: Float[Array, " 3"], exponent: PixelArray, shadows: bool
-    ) -> tuple[Float[Array, "_ *n"], ...]:
+    ) -> tuple[Float[Array, "_ ..."], ...]:
         """Returns of one light u, h, h by the exponent, and u and h by the position."""
         none = jnp.zeros((0, *exponent.shape), exponent.dtype)
         at = lambda place: terms(vec(place), shadows, exponent)
@@ -113,13 +113,13 @@ class LinearShading(eqx.Module):
             by_exponent = jax.jvp(of, (exponent,), (jnp.ones_like(exponent),))[1][None]
         return u[None], h[None], by_exponent, u_slope, h_slope
 
-    def seen(self, basis: Basis, factors: Float[Array, "3 x *n"]) -> Float[Array, "3 *n"]:
+    def seen(self, basis: Basis, factors: Float[Array, "3 x ..."]) -> Float[Array, "3 ..."]:
         """Returns the colours of samples. **Arguments:** `factors`: of the samples' objects."""
         return jnp.sum(factors * basis[:, : self.linear], axis=1)
 
     def light_columns(
-        self, basis: Basis, factors: Float[Array, "3 x *n"]
-    ) -> Float[Array, "3 positions *n"]:
+        self, basis: Basis, factors: Float[Array, "3 x ..."]
+    ) -> Float[Array, "3 positions ..."]:
         """Returns the derivatives of the colours by the lights' positions."""
         slopes, count = basis[:, self.own :], self.by_position
         if not count:
@@ -184,7 +184,7 @@ class LinearShading(eqx.Module):
         def of_sphere(number: Index) -> Float[Array, "3 own columns"]:
             row = self.context.tables.shared.row(jnp.asarray(number))
             start = {name: TABLE_COLUMNS[name](row) for name in names}
-            by = jax.jacrev(lambda free: self.factors(number, free))(start)
+            by = jax.jacrev(lambda free: self.factors(number, free))(start) if names else {}
             leaves = [leaf for name in names for leaf in jax.tree.leaves(by[name])]
             parts = [leaf.reshape(3, self.linear, -1) for leaf in leaves]
             none = jnp.zeros((3, self.linear, 0), self.context.dtype)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ...base.types import Ids, Index, Mask, Picture
+from ...base.types import Ids, Index, Mask, Picture, widest_float
 from ...base.vec import Vec
 from ...rendering.pixel_filter import filter_weights
 from ...rendering.samples import (
@@ -162,7 +162,7 @@ def _of_rows(
     buckets = bucket_pixels(context, index, target.counts, edge)
     weights = None if edge is None else filter_weights(edge, settings, scene.dtype)
     picture = BucketedPicture(context, target, exposure, buckets, weights, index)
-    n, dtype = index.size, jnp.promote_types(scene.dtype, jnp.result_type(float))
+    n, dtype = index.size, widest_float(scene.dtype)
     sums = jnp.zeros((n, n), dtype), jnp.zeros(n, dtype), jnp.zeros((), dtype)
     normal = NormalEquations(*sums, (jnp.zeros_like(target.image),))
     normal = _add_single(_add_still(normal, picture), picture)

@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ...antialiasing.compositing import layer_light_terms
-from ...base.types import Index
+from ...base.types import Index, widest_float
 from ...rendering.shading_samples import LayerSample, PointSample
 from ...scene.camera import Ray
 from ...tracing.context import TraceContext
@@ -84,7 +84,7 @@ class ShadingEquations(eqx.Module):
         """Sums the products of all strips."""
         buffer = eqx.tree_at(lambda b: b.fixed, buffer, [])
         size = self.objects * self.shading.own + self.extras
-        dtype = jnp.promote_types(self.shading.context.dtype, jnp.result_type(float))
+        dtype = widest_float(self.shading.context.dtype)
         start = ShadingSums(
             jnp.zeros((3, size, size), dtype), jnp.zeros((pixels, 3), self.shading.context.dtype)
         )
@@ -146,19 +146,17 @@ class ShadingEquations(eqx.Module):
         return loop(cells.sample.shape[-1], add, start)
 
     def _extra_rows(
-        self, extras: list[Float[Array, "3 _ *rows"]], seen: Float[Array, "3 *rows"], pixel: Array
-    ) -> tuple[list[Array], Float[Array, "3 *rows"]]:
+        self, extras: list[Float[Array, "3 _ ..."]], seen: Float[Array, "3 ..."], pixel: Array
+    ) -> tuple[list[Array], Float[Array, "3 ..."]]:
         """Returns what rows have beside the numbers of objects, and the slope that scales these.
 
         **Arguments:** `extras`: columns before they are scaled. `pixel`: of each row.
         """
-        take = lambda x: x.reshape(-1, 3).at[pixel].get(mode="fill", fill_value=0)
-        target = self.target
-        here = Target(take(target.image), take(target.weight), target.noise, target.loss)
-        picture = jnp.moveaxis(seen, 0, -1)
-        # as a picture of one row more
+        # as a picture of one row
         lift = lambda x: x.reshape(1, -1, 3)
-        here = Target(lift(here.image), lift(here.weight), here.noise, here.loss)
+        take = lambda x: lift(x.reshape(-1, 3).at[pixel].get(mode="fill", fill_value=0))
+        target, picture = self.target, jnp.moveaxis(seen, 0, -1)
+        here = Target(take(target.image), take(target.weight), target.noise, target.loss)
         residual = here.residual(lift(picture), self.exposure)
         by_picture, by_exposure = here.slopes(lift(picture), self.exposure)
         lower = lambda x: jnp.moveaxis(x.reshape(*pixel.shape, 3), -1, 0)
@@ -276,8 +274,9 @@ class ShadingEquations(eqx.Module):
         rows = products[:, : count * own].reshape(3, count, own, size)
         left = jnp.einsum("cniw,cnim->cnwm", spheres, rows).reshape(3, count * width, size)
         left = jnp.concatenate([left, jnp.einsum("cmd,cmk->cdk", shared, products)], axis=1)
-        columns = left[:, :, : count * own].reshape(3, -1, count, own)
-        square = jnp.einsum("cmni,cniw->mnw", columns, spheres).reshape(-1, count * width)
+        total = left.shape[1]
+        columns = left[:, :, : count * own].reshape(3, total, count, own)
+        square = jnp.einsum("cmni,cniw->mnw", columns, spheres).reshape(total, count * width)
         square = jnp.concatenate([square, jnp.einsum("ckm,cmd->kd", left, shared)], axis=1)
         order = np.argsort(np.concatenate([places.reshape(-1), shared_places]))
         gradient = jnp.sum(left[:, :, -1], axis=0)
