@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -47,9 +46,6 @@ _NOISE_CHANGE = 0.02
 # it is repeated where the light stays and only the numbers left out differ.
 _TRIMMING_DECREASE = 0.5
 
-
-# How far lights may move, in tolerances, for the edges of their shadows to stay in their pixels.
-_STILL = 10
 
 # Limit of the remarks in a fit's summary, in lines.
 _MOST_REMARKS = 7
@@ -284,7 +280,7 @@ def _fit_from_start(driver: Driver, problem: Problem, gauge: Gauge, noise: Any) 
                 if driver.costs and np.allclose(estimated.noise, problem.noise, rtol=_NOISE_CHANGE):
                     break
                 problem = estimated
-            problem, values = _solve(driver, problem, values)
+            problem, values = driver.solve_and_trace(problem, values)
             steps = len(driver.costs)
             if driver.interrupted or not driver.converged:
                 break
@@ -309,24 +305,6 @@ def _fit_from_start(driver: Driver, problem: Problem, gauge: Gauge, noise: Any) 
         values=values,
         noise_given=noise is not None,
     )
-
-
-def _solve(driver: Driver, problem: Problem, values: PyTree) -> tuple[Problem, PyTree]:
-    """Solves a problem, and again with the samples of the lights found, until these stay."""
-    for _ in range(_MOST_ROUNDS):
-        before, values = values, driver.solve(problem, values)
-        if not problem.edges_move or driver.interrupted:
-            break
-        moved = jax.tree.map(
-            lambda a, b: float(np.max(np.abs(np.asarray(a) - np.asarray(b)))),
-            before["light_position"], values["light_position"],
-        )  # fmt: skip
-        if max(jax.tree.leaves(moved)) <= _STILL * driver.tolerance:
-            break
-        problem = problem.traced_at(values)
-        if not driver.converged:
-            break
-    return problem, values
 
 
 def _past_shadow_edges(driver: Driver, problem: Problem, values: PyTree) -> PyTree:

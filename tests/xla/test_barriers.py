@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from spheretrace_jax.xla.barriers import compute_once, compute_pair_once
+from spheretrace_jax.xla.barriers import barrier, compute_once, compute_pair_once
 
 
 def test_compute_once():
@@ -13,3 +13,8 @@ def test_compute_once():
     pair = lambda x: compute_pair_once(lambda: (x**2, 3 * x), witness)
     assert pair(jnp.array(2.0)) == (4, 6)
     assert jax.grad(lambda x: sum(pair(x)))(jnp.array(2.0)) == 7
+
+
+def test_barrier_commits_nothing_to_a_device():
+    # what is computed from arrays that are committed would be compiled again
+    assert not jax.jit(lambda x: barrier(x * 2) + 1)(jnp.ones(3)).committed

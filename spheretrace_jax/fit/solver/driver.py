@@ -22,6 +22,10 @@ from .levenberg_marquardt import CautiousTrustRegion
 # larger one leaves the finer picture more of the way.
 _COARSE_DECREASE = 0.1
 
+# How often samples are traced again at most, and how far lights may move, in tolerances, for the
+# edges of their shadows to stay in their pixels. Fits of the lecture's scene trace twice.
+_MOST_TRACES, _STILL = 6, 10
+
 
 class Progress(eqx.Module):
     """The state of a fit: passed to its callback after every step."""
@@ -151,6 +155,27 @@ class Driver:
             if self.interrupted:
                 return values
         return self._solve(problem, values, step_size)[0]
+
+    def solve_and_trace(self, problem: Problem, values: PyTree) -> tuple[Problem, PyTree]:
+        """Solves a problem, and again with the samples of the lights found, until these stay.
+
+        Where edges are covered, those of shadows move with the lights, and samples say which pixels
+        have any.
+
+        **Returns:** the problem with the last samples, and the best values.
+        """
+        for _ in range(_MOST_TRACES):
+            before, values = values, self.solve(problem, values)
+            if not problem.edges_move or self.interrupted:
+                break
+            lights = (ravel_pytree(v["light_position"])[0] for v in (before, values))
+            moved = float(np.max(np.abs(np.subtract(*map(np.asarray, lights)))))
+            if moved <= _STILL * self.tolerance:
+                break
+            problem = problem.traced_at(values)
+            if not self.converged:
+                break
+        return problem, values
 
     def _solve(
         self,

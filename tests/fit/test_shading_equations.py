@@ -1,0 +1,97 @@
+"""Normal equations from shading samples that are traced once, against pixels traced at every step."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+import spheretrace_jax as st
+from helpers.scenes import SCENES, nine_spheres, three_spheres
+
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.problem.problem import normal_at
+
+SHADOWED = (100.0, 900, 300)
+SIZE = 24
+
+CASES = {
+    "one ray": (nine_spheres(SHADOWED), ("color", "ka", "kd", "ks", "light_position"), {}),
+    "four rays, mirrors": (
+        nine_spheres(SHADOWED),
+        ("color", "exponent", "kgr", "light_position", "light_color", "exposure"),
+        dict(bounces=3, samples=2),
+    ),
+    "planes, checkers": (SCENES["planes"], ("ks", "kd", "light_position"), dict(bounces=2)),
+    "textures, a sky": (SCENES["textures"], ("color", "kd"), dict(bounces=1)),
+}
+EDGES = {
+    "covered edges": (nine_spheres(SHADOWED), ("color", "ks", "light_position"), {}),
+    "covered edges in mirrors": (
+        nine_spheres(SHADOWED),
+        ("color", "kd", "exponent", "kgr", "light_position", "light_color", "exposure"),
+        dict(bounces=3),
+    ),
+    "covered edges of bubbles": (
+        SCENES["glass"],
+        ("color", "kgr", "kt", "light_color"),
+        dict(bounces=2),
+    ),
+}
+
+
+def check(scene, free, settings):
+    target = np.random.default_rng(0).uniform(0.1, 0.9, (SIZE, SIZE, 3))
+    settings = dict(bounces=0) | settings
+    problem = make_problem(scene, target, free, **settings)
+    values = problem.start()
+    found = normal_at(problem, values)
+    none = (None,) * len(problem.buffers)
+    traced = eqx.tree_at(lambda p: p.buffers, problem, none, is_leaf=lambda x: x is None)
+    expected = normal_at(traced, values)
+    for name in ("square", "gradient", "cost"):
+        a, b = (np.asarray(getattr(n, name)) for n in (found, expected))
+        np.testing.assert_allclose(a, b, atol=1e-12 * np.abs(b).max())
+    picture = st.render(
+        scene, width=SIZE, height=SIZE, needs=problem.settings[0].needs, **settings
+    )
+    np.testing.assert_allclose(found.pictures[0], picture, atol=1e-12)
+    np.testing.assert_allclose(expected.pictures[0], picture, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_same_as_traced_pixels(name):
+    check(*CASES[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EDGES)
+def test_same_as_traced_edges(name):
+    scene, *others = EDGES[name]
+    check(scene.with_antialias(1), *others)
+
+
+@pytest.mark.slow
+def test_light_that_moves_edges_of_shadows():
+    truth = three_spheres(antialias=1)
+    target = st.render(truth, width=40, height=40, bounces=0)
+    moved = truth.lights.position * 1.1
+    start = eqx.tree_at(lambda s: s.lights.position, truth, moved)
+    found = st.fit(start, target, bounces=0)
+    assert found.trust.ok and found.cost < 1e-16
+    # the picture of the fit is the renderer's, the pixels with edges included
+    needs = found.problem.settings[0].needs
+    again = st.render(found.scene, width=40, height=40, bounces=0, needs=needs)
+    np.testing.assert_allclose(found.normal.pictures[0], again, atol=1e-9)
+
+
+def test_stale_samples_are_dropped():
+    scene, free = nine_spheres(SHADOWED), ("color",)
+    target = np.random.default_rng(0).uniform(0.1, 0.9, (SIZE, SIZE, 3))
+    problem = make_problem(scene, target, free, bounces=0)
+    kept = problem.without_stale_samples()
+    assert eqx.tree_equal(kept.buffers, problem.buffers)
+    center = lambda p: p.parameters[0].scene.spheres.center
+    other = eqx.tree_at(center, problem, replace_fn=lambda c: c + 1).without_stale_samples()
+    assert other.buffers[0] is None
+    traced = jax.eval_shape(lambda p: p.without_stale_samples().buffers[0], problem)
+    assert traced is None
