@@ -1,12 +1,12 @@
-"""Normal equations from shading samples that are traced once, against pixels traced at every step."""
+"""Normal equations from samples that are traced once, against pixels traced at every step."""
 
 import equinox as eqx
 import jax
 import numpy as np
 import pytest
-import spheretrace_jax as st
 from helpers.scenes import SCENES, nine_spheres, three_spheres
 
+import spheretrace_jax as st
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.problem.problem import normal_at
 
@@ -50,9 +50,7 @@ def check(scene, free, settings):
     for name in ("square", "gradient", "cost"):
         a, b = (np.asarray(getattr(n, name)) for n in (found, expected))
         np.testing.assert_allclose(a, b, atol=1e-12 * np.abs(b).max())
-    picture = st.render(
-        scene, width=SIZE, height=SIZE, needs=problem.settings[0].needs, **settings
-    )
+    picture = st.render(scene, width=SIZE, height=SIZE, needs=problem.settings[0].needs, **settings)
     np.testing.assert_allclose(found.pictures[0], picture, atol=1e-12)
     np.testing.assert_allclose(expected.pictures[0], picture, atol=1e-12)
 
