@@ -24,6 +24,7 @@ from .shading_samples import (
     onward_from_layer,
     rays_with_differentials,
     sample_context,
+    take,
     turn_values,
 )
 
@@ -43,7 +44,7 @@ class _Front(NamedTuple):
     contribution: Contribution
 
     def kept(self, mask: Any) -> "_Front":
-        return _take(self, np.flatnonzero(mask))
+        return take(self, np.flatnonzero(mask))
 
 
 def trace_samples(scene: Scene, settings: RenderSettings) -> ShadingSamples:
@@ -79,9 +80,7 @@ class _Tracer:
 
     def _trace_sample(self, pixels: np.ndarray, left: Any, top: Any) -> None:
         """Traces one sample of each pixel: single rays, and areas where they may meet edges."""
-        weight = np.full(pixels.size, self.settings.samples**-2, self.context.dtype)
-        none = np.full((self.settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
-        contribution = Contribution(pixels, weight, none)
+        contribution = self._contribution(pixels)
         look = lambda pixels: look_from_eye(self.context, pixels, left, top)
         met = _in_chunks(look, pixels, _RAYS)
         front, found = None, []
@@ -100,10 +99,16 @@ class _Tracer:
                 break
         for point, seen, contribution in found:
             at = np.flatnonzero(seen & ~edge[contribution.pixel])
-            self.points.append(_take((point, contribution), at))
+            self.points.append(take((point, contribution), at))
         self.edge |= edge
         if edge.any():
             self._cover(pixels[edge], left, top)
+
+    def _contribution(self, pixels: np.ndarray) -> Contribution:
+        """Returns how one sample of pixels counts that is seen directly."""
+        weight = np.full(pixels.size, self.settings.samples**-2, self.context.dtype)
+        no_turn = np.full((self.settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
+        return Contribution(pixels, weight, no_turn)
 
     def _meet(self, front: _Front, bounce: int) -> Any:
         """Returns what the rays of a bounce after the first hit meet."""
@@ -134,13 +139,11 @@ class _Tracer:
     def _cover(self, pixels: np.ndarray, left: Any, top: Any) -> None:
         """Covers pixels with edges by layers, and those in what they see first."""
         settings = self.settings
-        weight = np.full(pixels.size, settings.samples**-2, self.context.dtype)
-        none = np.full((settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
         nowhere = jnp.full(pixels.size, False)
         nothing = Hit(jnp.full(pixels.size, -1, self.context.tables.id_type), nowhere)
         look = lambda pixels: rays_with_differentials(self.context, pixels, left, top)
         ray = _in_chunks(look, pixels, _EDGE_PIXELS)
-        front = _Front(ray, nothing, None, Contribution(pixels, weight, none))
+        front = _Front(ray, nothing, None, self._contribution(pixels))
         for bounce in range(min(settings.bounces, 1) + 1):
             front = self._cover_front(front, bounce)
             if front is None:
@@ -150,7 +153,7 @@ class _Tracer:
         for bounce in range(2, settings.bounces + 1):
             met = self._meet(front, bounce)
             at = np.flatnonzero(met.seen)
-            self.points.append(_take((met.point, front.contribution), at))
+            self.points.append(take((met.point, front.contribution), at))
             if bounce < settings.bounces:
                 front = self._onward(met.ways, front.contribution, bounce)
             if not front.contribution.pixel.size:
@@ -158,28 +161,29 @@ class _Tracer:
 
     def _cover_front(self, front: _Front, bounce: int) -> _Front | None:
         """Covers what rays with their differentials see; returns the rays on from there."""
-        on: list[_Front] = []
+        met: list[tuple[Any, Hit, Contribution]] = []
         size = front.contribution.pixel.size
-        for first in range(0, size, _EDGE_PIXELS):
-            part = _take(front, np.arange(first, min(first + _EDGE_PIXELS, size)))
+        for first in range(0, size, _EDGE_PIXELS):  # layers are many: kept only where they show
+            part = take(front, np.arange(first, min(first + _EDGE_PIXELS, size)))
             layers = lambda rays: find_layers(self.context, *rays)
             seen = _in_chunks(layers, (part.ray, part.source_hit), _EDGE_PIXELS)
             for k in range(seen.shown.shape[0]):
                 at = np.flatnonzero(seen.shown[k] & (seen.area[k] > 0))
-                if not at.size:
-                    continue
-                rays, contribution = _take((part.ray, part.contribution), at)
+                rays, contribution = take((part.ray, part.contribution), at)
                 weight = contribution.weight * seen.area[k][at]
                 contribution = contribution._replace(weight=weight)
-                sample = jax.tree.map(lambda x, k=k, at=at: x[k][..., at], seen.sample)
+                sample = take(jax.tree.map(lambda x, k=k: x[k], seen.sample), at)
                 self.layers.append((sample, contribution))
-                if bounce < self.settings.bounces:
-                    on += self._onward_from(rays, sample.layer.hit, contribution, bounce)
+                met.append((rays, sample.layer.hit, contribution))
             if self.context.needs.background:
                 contribution = part.contribution
                 weight = contribution.weight * seen.uncovered[0]
                 self.points.append((seen.sky, contribution._replace(weight=weight)))
-        return _concatenate(on) if on else None
+        rays, hit, contribution = _concatenate(met)
+        if bounce == self.settings.bounces or not contribution.pixel.size:
+            return None
+        front = _concatenate(list(self._onward_from(rays, hit, contribution, bounce)))
+        return front if front.contribution.pixel.size else None
 
     def _onward_from(
         self, rays: Any, hit: Hit, contribution: Contribution, bounce: int
@@ -190,9 +194,7 @@ class _Tracer:
             look = lambda rays, n=number: onward_from_layer(self.context, rays[0], rays[1], n)
             way = _in_chunks(look, (rays, hit), _EDGE_PIXELS)
             turned = self._turned(contribution, way.turn, bounce)
-            front = _Front(way.ray, way.source_hit, way.cone, turned).kept(way.alive)
-            if front.contribution.pixel.size:
-                yield front
+            yield _Front(way.ray, way.source_hit, way.cone, turned).kept(way.alive)
 
 
 # -- on the host
@@ -204,13 +206,9 @@ def _in_chunks(function: Callable[[Any], T], inputs: Any, size: int) -> T:
     parts = []
     for first in range(0, max(count, 1), size):
         rows = np.minimum(np.arange(first, first + size), count - 1)
-        parts.append((function(_take(inputs, rows)), min(size, count - first)))
+        parts.append((function(take(inputs, rows)), min(size, count - first)))
     parts = [jax.tree.map(lambda x, n=n: np.asarray(x)[..., :n], part) for part, n in parts]
     return parts[0] if len(parts) == 1 else _concatenate(parts)
-
-
-def _take(tree: T, rows: np.ndarray) -> T:
-    return jax.tree.map(lambda x: np.asarray(x)[..., rows], tree)
 
 
 def _concatenate(trees: list[T]) -> T:

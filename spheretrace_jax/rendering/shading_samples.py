@@ -6,7 +6,7 @@ geometry and camera stay, samples stay, and only materials and lights are left t
 are found from the host, bounce by bounce, so that only paths that go on are traced.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -33,6 +33,8 @@ from ..tracing.queries import closest_hit
 from ..tracing.surface import surface_at
 from ..xla.jit import compiled
 from .samples import eye_differentials, sample_rays
+
+T = TypeVar("T")
 
 
 class PointSample(eqx.Module):
@@ -69,6 +71,11 @@ class ShadingSamples(NamedTuple):
     edge: Bool[np.ndarray, "height width"]  #: where there may be edges
 
 
+def take(tree: T, samples: np.ndarray) -> T:
+    """Returns some samples of NumPy arrays whose last axis is that of samples."""
+    return jax.tree.map(lambda x: np.asarray(x)[..., samples], tree)
+
+
 class Way(NamedTuple):
     """Where rays go on from what they meet."""
 
@@ -100,16 +107,19 @@ class LayersSeen(NamedTuple):
 
 @compiled
 def sample_context(scene: Scene, settings: RenderSettings) -> TraceContext:
+    """Builds the context of a picture's samples."""
     return build_context(scene, settings)
 
 
 @compiled
 def turn_values(context: TraceContext) -> Float[Array, " turns"]:
+    """Returns `all_turns`."""
     return all_turns(context)
 
 
 @compiled
 def look_from_eye(context: TraceContext, pixels: Ids, left: Array, top: Array) -> RaysMet:
+    """Returns what rays from the eye meet. **Arguments:** as for `samples.sample_rays`."""
     scene, settings = context.scene, context.settings
     ray, cone = sample_rays(scene, settings, pixels, left, top), None
     if settings.antialias:
@@ -122,6 +132,7 @@ def look_from_eye(context: TraceContext, pixels: Ids, left: Array, top: Array) -
 def meet(
     context: TraceContext, ray: Ray, source_hit: Hit, cone: RayCone | None, look: Mask
 ) -> RaysMet:
+    """Returns what rays meet that start from hits. **Arguments:** `look`: whether for edges."""
     return _met(context, ray, source_hit, cone, look)
 
 
@@ -158,12 +169,14 @@ def _tint(context: TraceContext, hit: Hit, surface: Surface, direction: Vec) -> 
 def rays_with_differentials(
     context: TraceContext, pixels: Ids, left: Array, top: Array
 ) -> Differential[Ray]:
+    """Returns the rays of pixels with their differentials, no scalars among them."""
     ray = eye_differentials(context, pixels, left, top)
     return spread(ray, pixels.shape)
 
 
 @compiled
 def find_layers(context: TraceContext, ray: Differential[Ray], source_hit: Hit) -> LayersSeen:
+    """Returns the layers that rays see with all of their pixels."""
     everywhere = jnp.full(ray.value.direction.x.shape, True)
     (layer, shown, area), uncovered = visible_layers(context, ray, everywhere, source_hit)
     direction = ray.value.direction
@@ -181,6 +194,7 @@ def find_layers(context: TraceContext, ray: Differential[Ray], source_hit: Hit) 
 def onward_from_layer(
     context: TraceContext, ray: Differential[Ray], hit: Hit, choice: Index
 ) -> Way:
+    """Returns the rays on from layers, with their differentials."""
     everywhere = jnp.full(hit.id.shape, True)
     on, path = secondary_differential(context, ray, hit, everywhere, choice)
     alive = continues(context, first_path(ray.value, hit, everywhere), choice)

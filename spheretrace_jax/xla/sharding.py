@@ -129,11 +129,6 @@ def pad_rows(
     return jnp.pad(rows, ((0, missing), *[(0, 0)] * (rows.ndim - 1)))
 
 
-def gather_rows(block: Shaped[Array, "count ..."], axes: tuple[str, ...]) -> Array:
-    """Returns the rows of all devices on each of them."""
-    return lax.all_gather(block, axes, tiled=True)
-
-
 def replicate(values: T, sharding: NamedSharding | None) -> T:
     """Replicates values on all devices of the mesh; returns them as they are without sharding."""
     if sharding is None:

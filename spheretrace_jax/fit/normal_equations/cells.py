@@ -27,9 +27,8 @@ class Cells(eqx.Module):
     sample: Int[Array | np.ndarray, "*n samples"]  #: points from 0 on, layers from -1 down
     weight: Float[Array | np.ndarray, "*n samples"]
     object: Int[Array | np.ndarray, "*n"]  #: the background comes after the last object
-    turns: (
-        Int[Array | np.ndarray, "*n bounces"] | None
-    )  #: factors of the weight; None where all are known
+    #: factors of the weight, numbers in `all_turns`; None where all are known
+    turns: Int[Array | np.ndarray, "*n bounces"] | None
     row: Int[Array | np.ndarray, "*n"]  #: of its group, in which row it is; `ROWS` for none
 
 
@@ -40,9 +39,8 @@ class Entries(NamedTuple):
     sample: np.ndarray
     weight: np.ndarray
 
-    def sorted_by(self, key: np.ndarray) -> "Entries":
-        """Returns the entries in another order."""
-        order = np.argsort(key, kind="stable")
+    def taken(self, order: np.ndarray) -> "Entries":
+        """Returns some of the entries, or all in another order."""
         return Entries(*(x[order] for x in self))
 
     def between(self, begin: int, end: int) -> "Entries":
@@ -70,9 +68,9 @@ def make_entries(
             inside = inside & (at >= 0) & (at < weights.size)
             weight = entries.weight * np.where(inside, weights[np.where(inside, at, 0)], 0)
             reaches = np.flatnonzero(weight)
-            parts.append(Entries(at[reaches], number[reaches], weight[reaches]))
+            parts.append(Entries(at, number, weight).taken(reaches))
         entries = Entries(*(np.concatenate(x) for x in zip(*parts, strict=True)))
-    return entries.sorted_by(entries.pixel)
+    return entries.taken(np.argsort(entries.pixel, kind="stable"))
 
 
 class CellList:
@@ -84,17 +82,20 @@ class CellList:
         objects = int(object_.max(initial=0)) + 1
         key = (entries.pixel.astype(np.int64) * objects + object_) * len(ways) + way.reshape(-1)
         order = np.argsort(key, kind="stable")
-        self.entries = Entries(*(x[order] for x in entries))
+        self.entries = entries.taken(order)
         self.starts = np.flatnonzero(np.diff(key[order], prepend=-1))
         self.sizes = np.diff(self.starts, append=key.size)
         first = order[self.starts]
         self.pixel, self.object, self.turns = entries.pixel[first], object_[first], turns.T[first]
 
-    def only_cells(self) -> np.ndarray:
-        """Tests which cells are the only ones of their pixel, and seen directly."""
+    def only_cells(self, no_turn: int) -> np.ndarray:
+        """Tests which cells are the only ones of their pixel, and seen directly.
+
+        **Arguments:** `no_turn`: the number of no turn in `all_turns`.
+        """
         same = np.diff(self.pixel) == 0
         only = ~(np.append(same, False) | np.insert(same, 0, False)[: same.size + 1])
-        return only & (self.turns == self.turns.max(initial=0)).all(axis=1)
+        return only & (self.turns == no_turn).all(axis=1)
 
     def most_in_a_pixel(self, samples: int) -> int:
         """Returns the most cells of one pixel, if they are split at so many samples."""

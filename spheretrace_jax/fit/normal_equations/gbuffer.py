@@ -15,7 +15,7 @@ from jaxtyping import Array, Int
 
 from ...rendering.pixel_filter import filter_weights
 from ...rendering.sample_tracer import trace_samples
-from ...rendering.shading_samples import LayerSample, PointSample, ShadingSamples
+from ...rendering.shading_samples import LayerSample, PointSample, ShadingSamples, take
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
@@ -61,11 +61,6 @@ class GBuffer(eqx.Module):
     several: Rows  #: of all others: `(strips, groups, CELLS)`
     fixed: list[Array]  #: what the scene has that is not free, as it was traced
 
-    @property
-    def strips(self) -> int:
-        """Returns the number of strips."""
-        return len(self.point_count)
-
 
 def fixed_arrays(scene: Scene, free: tuple[str, ...]) -> list[Array]:
     """Returns the arrays of a scene that a fit leaves as they are."""
@@ -81,10 +76,8 @@ def make_gbuffer(scene: Scene, settings: RenderSettings, free: tuple[str, ...]) 
     """
     samples, weights, reach = trace_samples(scene, settings), None, settings.samples**2
     if settings.antialias:
-        weights, reach = (
-            np.asarray(_filter_weights(scene, jnp.asarray(samples.edge), settings)),
-            5 * reach,
-        )
+        edge, reach = jnp.asarray(samples.edge), 5 * reach
+        weights = np.asarray(_filter_weights(scene, edge, settings))
     entries = make_entries(
         samples.point_contribution, samples.layer_contribution, weights, settings.width
     )
@@ -137,9 +130,10 @@ class _Strip:
         turns = turns[:0] if known else turns
         # a negative number counts from the end, as layers do
         self.cells = CellList(entries, object_[entries.sample], turns[:, entries.sample])
-        self.only, self.known, self.background = self.cells.only_cells(), known, background
+        self.only = self.cells.only_cells(no_turn=2 * background)
+        self.known, self.background = known, background
         self.black = np.setdiff1d(np.arange(begin, end), self.cells.pixel)
-        self.points, self.layers = _take(samples.points, points), _take(samples.layers, layers)
+        self.points, self.layers = take(samples.points, points), take(samples.layers, layers)
 
     def alone(self, reach: int, pixels: int) -> Arranged:
         """Arranges the rows of pixels with one cell, and black ones."""
@@ -156,10 +150,8 @@ def _objects_and_turns(
     samples: ShadingSamples, points: np.ndarray, layers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the objects and turns of samples: of points, then of layers from the last one on."""
-    ids, turns = (
-        np.asarray(samples.points.hit.id)[points],
-        samples.point_contribution.turns[:, points],
-    )
+    ids = np.asarray(samples.points.hit.id)[points]
+    turns = samples.point_contribution.turns[:, points]
     if samples.layers is not None:
         back = layers[::-1]
         ids = np.concatenate([ids, np.asarray(samples.layers.layer.hit.id)[back]])
@@ -209,7 +201,3 @@ def _size(counts: np.ndarray, block: int) -> int:
     """Returns a size for all: blocks by a power of two, so that few sizes are compiled."""
     blocks = -(-int(counts.max()) // block)
     return block << max(0, blocks - 1).bit_length()
-
-
-def _take(tree: Any, rows: np.ndarray) -> Any:
-    return jax.tree.map(lambda x: x[..., rows], tree)

@@ -69,11 +69,6 @@ class LinearShading(eqx.Module):
         """Returns how many free numbers the lights' positions have."""
         return 3 * self.lights if "light_position" in self.index.lights else 0
 
-    @property
-    def numbers(self) -> int:
-        """Returns the size of the basis."""
-        return self.own + (1 + self.shines) * self.by_position
-
     def basis(self, ids: Ids, terms: Terms, tint: Vec | None) -> Basis:
         """Returns the numbers of samples. **Arguments:** `ids`: of the objects that they show."""
         context, lights = self.context, self.context.scene.lights

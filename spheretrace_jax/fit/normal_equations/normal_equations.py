@@ -23,7 +23,7 @@ from ...rendering.samples import (
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...tracing.context import build_context
-from ...xla.sharding import gather_rows, on_devices, pad_rows
+from ...xla.sharding import on_devices, pad_rows
 from ..model.target import Target
 from .bucketed_picture import (
     BucketedPicture,
@@ -36,7 +36,7 @@ from .gbuffer import GBuffer
 from .jacobian_rows import ColorAndRows, color_and_rows
 from .parameter_index import ParameterIndex
 from .pixel_buckets import EDGE, MOST, SEVERAL, STILL, bucket_pixels
-from .shading_equations import ShadingEquations, ShadingSums
+from .shading_equations import ShadingEquations
 
 # Pixels per chunk, of those that show one object, and of those that show several. Larger chunks
 # waste more in the last, half-empty one; smaller ones cost more overhead. A geometry step of the
@@ -104,7 +104,8 @@ def normal_equations(
         (scene, exposure, noise, settings), (image, weight) = whole, rows
         target_ = Target(image, weight, noise, target.loss)
         found = _of_rows(scene, exposure, target_, index, settings)
-        pictures = tuple(gather_rows(p, settings.rows.axes) for p in found.pictures)
+        whole_rows = lambda p: lax.all_gather(p, settings.rows.axes, tiled=True)
+        pictures = tuple(map(whole_rows, found.pictures))
         sums = lax.psum(eqx.tree_at(lambda n: n.pictures, found, ()), settings.rows.axes)
         return eqx.tree_at(lambda n: n.pictures, sums, pictures)
 
@@ -127,24 +128,21 @@ def _of_samples(
 ) -> NormalEquations:
     """Sums by shading the samples of a picture."""
 
-    def sums_of(whole: tuple, buffer: GBuffer) -> ShadingSums:
+    buffer = eqx.tree_at(lambda b: b.fixed, buffer, [])  # which has no axis for strips
+
+    def of_strips(whole: tuple, buffer: GBuffer) -> NormalEquations:
         scene, exposure, target, settings = whole
         context = build_context(scene, settings, accelerated=False)
         equations = ShadingEquations(context, target, exposure, index)
         sums = equations.sums(buffer, settings.width * settings.height)
-        return lax.psum(sums, settings.rows.axes) if settings.rows.axes else sums
+        sums = lax.psum(sums, settings.rows.axes) if settings.rows.axes else sums
+        picture = sums.seen.reshape(target.image.shape)
+        return NormalEquations(*equations.by_parameters(sums.products), (picture,))
 
     if settings.sharding is None:
-        sums = sums_of((scene, exposure, target, settings), buffer)
-    else:
-        whole = scene, exposure, target, settings.of_device
-        buffer = eqx.tree_at(lambda b: b.fixed, buffer, [])
-        sums = on_devices(sums_of, settings.sharding, whole, buffer, joined=True)
-    context = build_context(scene, settings, accelerated=False)
-    equations = ShadingEquations(context, target, exposure, index)
-    square, gradient, cost = equations.by_parameters(sums.products)
-    picture = sums.seen.reshape(target.image.shape)
-    return NormalEquations(square, gradient, cost, (picture,))
+        return of_strips((scene, exposure, target, settings), buffer)
+    whole = scene, exposure, target, settings.of_device
+    return on_devices(of_strips, settings.sharding, whole, buffer, joined=True)
 
 
 def _of_rows(

@@ -81,8 +81,7 @@ class ShadingEquations(eqx.Module):
         return self.shading.by_position + turns + (self.index.exposure is not None) + 1
 
     def sums(self, buffer: GBuffer, pixels: int) -> ShadingSums:
-        """Sums the products of all strips."""
-        buffer = eqx.tree_at(lambda b: b.fixed, buffer, [])
+        """Sums the products of all strips. **Arguments:** `buffer`: without `fixed`."""
         size = self.objects * self.shading.own + self.extras
         dtype = widest_float(self.shading.context.dtype)
         start = ShadingSums(

@@ -208,9 +208,11 @@ class Driver:
                 done, result = self.solver.terminate(
                     self.fn, values, args, _solver_options(self.fn), state, frozenset()
                 )
-                # or only steps below the tolerance are left, none of which lowers the cost
+                # or only steps are left that do not lower the cost, below the tolerance or so small
+                # that its rounding hides what they do: a step changes the cost by its square
                 rejected = getattr(state, "num_steps_since_acceptance", 0)
-                if done or (rejected >= 2 and move < self.tolerance):
+                hidden = np.sqrt(np.finfo(np.float64).eps)
+                if done or (rejected >= 2 and move < max(self.tolerance, hidden)):
                     self.result = result
                     break
                 if not rejected and before * (1 - least_decrease) < self.costs[-1] < before:
