@@ -217,7 +217,7 @@ def _concatenate(trees: list[T]) -> T:
 
 def _split(ray: Ray) -> Ray:
     """Returns rays with split vectors, in NumPy."""
-    return jax.tree.map(np.asarray, split(ray))
+    return jax.tree.map(np.asarray, split(jax.tree.map(jnp.asarray, ray)))
 
 
 def _nowhere() -> Contribution:
