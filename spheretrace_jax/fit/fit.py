@@ -233,7 +233,7 @@ def fit(
     try:
         for started in problem_starts(problem, start):
             if solver is None:
-                bounds = _start_and_bounds(started)[1]
+                bounds = started.bounds()
                 method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
             else:
                 method = solver
@@ -258,11 +258,6 @@ def fit(
 
 
 @compiled
-def _start_and_bounds(problem: Problem) -> tuple[PyTree, tuple[PyTree, PyTree]]:
-    return problem.start(), problem.bounds()
-
-
-@compiled
 def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, list]:
     values = fix_gauge(problem, values, gauge)
     return values, problem.scenes_at(values)
@@ -270,7 +265,7 @@ def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, lis
 
 def _fit_from_start(driver: Driver, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
     """Returns what is found from a problem's start."""
-    values, _ = _start_and_bounds(problem)
+    values = problem.start()
     estimates_noise = problem.targets[0].loss != "square" and noise is None
     steps = 0
     try:

@@ -6,26 +6,22 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ..base.vec import split
-from ..scene.camera import Ray
 from ..scene.scene import Scene
 from ..scene.settings import RenderSettings
 from ..tracing.hit import Hit
-from .samples import sample_positions
 from .shading_samples import (
     Contribution,
     ShadingSamples,
+    eye_rays,
+    eye_rays_with_differentials,
     find_layers,
-    look_from_eye,
     meet,
     onward_from_layer,
-    rays_with_differentials,
     sample_context,
+    split_rays,
     take,
-    turn_values,
 )
 
 T = TypeVar("T")
@@ -56,9 +52,9 @@ class _Tracer:
     """The state of `trace_samples`: the samples found so far."""
 
     def __init__(self, scene: Scene, settings: RenderSettings):
-        self.context = sample_context(scene, settings)
+        self.context, turns, positions = sample_context(scene, settings)
         self.settings, self.free_turns = settings, settings.needs.dark_paths
-        self.turns = np.asarray(turn_values(self.context))
+        self.turns, self.positions = np.asarray(turns), [np.asarray(p) for p in positions]
         self.points: list[tuple[Any, Contribution]] = []
         self.layers: list[tuple[Any, Contribution]] = []
         self.edge = np.zeros(settings.width * settings.height, bool)
@@ -66,8 +62,7 @@ class _Tracer:
     def trace(self) -> ShadingSamples:
         settings = self.settings
         pixels = np.arange(self.edge.size, dtype=np.int32)
-        positions = sample_positions(self.context.scene, settings)
-        for left, top in zip(*(np.asarray(p) for p in positions), strict=True):
+        for left, top in zip(*self.positions, strict=True):
             self._trace_sample(pixels, left, top)
         shape = settings.height, settings.width
         points, point_contribution = _concatenate(self.points)
@@ -80,17 +75,13 @@ class _Tracer:
 
     def _trace_sample(self, pixels: np.ndarray, left: Any, top: Any) -> None:
         """Traces one sample of each pixel: single rays, and areas where they may meet edges."""
-        contribution = self._contribution(pixels)
-        look = lambda pixels: look_from_eye(self.context, pixels, left, top)
-        met = _in_chunks(look, pixels, _RAYS)
-        front, found = None, []
-        edge = met.edge.copy()
+        look = lambda pixels: eye_rays(self.context, pixels, left, top)
+        ray, cone = _in_chunks(look, pixels, _RAYS)
+        front = _Front(ray, self._from_eye(pixels), cone, self._contribution(pixels))
+        edge, found = np.zeros(pixels.size, bool), []
         for bounce in range(self.settings.bounces + 1):
-            if front is not None:
-                where = front.contribution.pixel
-                met = self._meet(front, bounce)
-                edge[where[met.edge]] = True
-                contribution = front.contribution
+            met, contribution = self._meet(front, bounce), front.contribution
+            edge[contribution.pixel[met.edge]] = True
             found.append((met.point, met.seen, contribution))
             if bounce == self.settings.bounces:
                 break
@@ -110,9 +101,14 @@ class _Tracer:
         no_turn = np.full((self.settings.bounces, pixels.size), len(self.turns) - 1, np.int32)
         return Contribution(pixels, weight, no_turn)
 
+    def _from_eye(self, pixels: np.ndarray) -> Hit:
+        """Returns the hits that rays from the eye start from: none."""
+        nothing = np.full(pixels.size, -1, self.context.tables.id_type), pixels < 0
+        return Hit(*jax.device_put(nothing))
+
     def _meet(self, front: _Front, bounce: int) -> Any:
-        """Returns what the rays of a bounce after the first hit meet."""
-        look = jnp.asarray(bounce == 1)
+        """Returns what the rays of a bounce meet."""
+        look = jax.device_put(np.asarray(bounce <= 1))
         trace = lambda rays: meet(self.context, rays[0], rays[1], rays[2], look)
         return _in_chunks(trace, (front.ray, front.source_hit, front.cone), _RAYS)
 
@@ -139,17 +135,15 @@ class _Tracer:
     def _cover(self, pixels: np.ndarray, left: Any, top: Any) -> None:
         """Covers pixels with edges by layers, and those in what they see first."""
         settings = self.settings
-        nowhere = jnp.full(pixels.size, False)
-        nothing = Hit(jnp.full(pixels.size, -1, self.context.tables.id_type), nowhere)
-        look = lambda pixels: rays_with_differentials(self.context, pixels, left, top)
+        look = lambda pixels: eye_rays_with_differentials(self.context, pixels, left, top)
         ray = _in_chunks(look, pixels, _EDGE_PIXELS)
-        front = _Front(ray, nothing, None, self._contribution(pixels))
+        front = _Front(ray, self._from_eye(pixels), None, self._contribution(pixels))
         for bounce in range(min(settings.bounces, 1) + 1):
             front = self._cover_front(front, bounce)
             if front is None:
                 return
         # behind the second mirror or bubble single rays are followed
-        front = front._replace(ray=_split(front.ray.value))
+        front = front._replace(ray=_in_chunks(split_rays, front.ray, _EDGE_PIXELS))
         for bounce in range(2, settings.bounces + 1):
             met = self._meet(front, bounce)
             at = np.flatnonzero(met.seen)
@@ -190,7 +184,7 @@ class _Tracer:
     ) -> Iterator[_Front]:
         """Yields the rays on from layers, with their differentials."""
         for choice in range(2 if self.context.needs.branching else 1):
-            number = jnp.asarray(choice, jnp.int32)
+            number = jax.device_put(np.asarray(choice, np.int32))
             look = lambda rays, n=number: onward_from_layer(self.context, rays[0], rays[1], n)
             way = _in_chunks(look, (rays, hit), _EDGE_PIXELS)
             turned = self._turned(contribution, way.turn, bounce)
@@ -213,11 +207,6 @@ def _in_chunks(function: Callable[[Any], T], inputs: Any, size: int) -> T:
 
 def _concatenate(trees: list[T]) -> T:
     return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *trees)
-
-
-def _split(ray: Ray) -> Ray:
-    """Returns rays with split vectors, in NumPy."""
-    return jax.tree.map(np.asarray, split(jax.tree.map(jnp.asarray, ray)))
 
 
 def _nowhere() -> Contribution:

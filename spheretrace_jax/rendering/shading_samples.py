@@ -32,7 +32,7 @@ from ..tracing.path import all_turns, continues, first_path, next_path, turn_num
 from ..tracing.queries import closest_hit
 from ..tracing.surface import surface_at
 from ..xla.jit import compiled
-from .samples import eye_differentials, sample_rays
+from .samples import eye_differentials, sample_positions, sample_rays
 
 T = TypeVar("T")
 
@@ -106,40 +106,38 @@ class LayersSeen(NamedTuple):
 
 
 @compiled
-def sample_context(scene: Scene, settings: RenderSettings) -> TraceContext:
-    """Builds the context of a picture's samples."""
-    return build_context(scene, settings)
+def sample_context(
+    scene: Scene, settings: RenderSettings
+) -> tuple[TraceContext, Float[Array, " turns"], tuple[Array, Array]]:
+    """Returns the context of a picture's samples, `all_turns`, and `samples.sample_positions`."""
+    context = build_context(scene, settings)
+    return context, all_turns(context), sample_positions(scene, settings)
 
 
 @compiled
-def turn_values(context: TraceContext) -> Float[Array, " turns"]:
-    """Returns `all_turns`."""
-    return all_turns(context)
+def eye_rays(
+    context: TraceContext, pixels: Ids, left: Array, top: Array
+) -> tuple[Ray, RayCone | None]:
+    """Returns the rays of pixels, and their cones where edges are looked for.
 
-
-@compiled
-def look_from_eye(context: TraceContext, pixels: Ids, left: Array, top: Array) -> RaysMet:
-    """Returns what rays from the eye meet. **Arguments:** as for `samples.sample_rays`."""
+    **Arguments:** as for `samples.sample_rays`.
+    """
     scene, settings = context.scene, context.settings
     ray, cone = sample_rays(scene, settings, pixels, left, top), None
     if settings.antialias:
         side = scene.camera.window / settings.height * settings.side
         cone = pixel_cones(scene.camera, ray, side)
-    return _met(context, ray, None, cone, jnp.array(True))
+    return spread((ray, cone), pixels.shape)
 
 
 @compiled
 def meet(
     context: TraceContext, ray: Ray, source_hit: Hit, cone: RayCone | None, look: Mask
 ) -> RaysMet:
-    """Returns what rays meet that start from hits. **Arguments:** `look`: whether for edges."""
-    return _met(context, ray, source_hit, cone, look)
+    """Returns what rays meet that start from hits, and the rays on.
 
-
-def _met(
-    context: TraceContext, ray: Ray, source_hit: Hit | None, cone: RayCone | None, look: Mask
-) -> RaysMet:
-    """Returns what rays meet, and the rays on. **Arguments:** `look`: whether to look for edges."""
+    **Arguments:** `source_hit`: -1 for rays from the eye. `look`: whether to look for edges.
+    """
     hit = closest_hit(context, ray, source_hit)
     nowhere = jnp.full(hit.id.shape, False)
     edge = nowhere
@@ -166,12 +164,11 @@ def _tint(context: TraceContext, hit: Hit, surface: Surface, direction: Vec) -> 
 
 
 @compiled
-def rays_with_differentials(
+def eye_rays_with_differentials(
     context: TraceContext, pixels: Ids, left: Array, top: Array
 ) -> Differential[Ray]:
-    """Returns the rays of pixels with their differentials, no scalars among them."""
-    ray = eye_differentials(context, pixels, left, top)
-    return spread(ray, pixels.shape)
+    """Returns the rays of pixels with their differentials. **Arguments:** as for `eye_rays`."""
+    return spread(eye_differentials(context, pixels, left, top), pixels.shape)
 
 
 @compiled
@@ -200,3 +197,9 @@ def onward_from_layer(
     alive = continues(context, first_path(ray.value, hit, everywhere), choice)
     zero = jnp.zeros_like(ray.value.direction.x)
     return Way(alive, turn_number(context, hit, choice), on, path.hit, RayCone(zero, zero))
+
+
+@compiled
+def split_rays(ray: Differential[Ray]) -> Ray:
+    """Returns rays without their differentials, as `meet` takes them."""
+    return split(ray.value)

@@ -88,7 +88,10 @@ def value(scene: Scene, name: str) -> Array:
 
 
 class Parameters(eqx.Module):
-    """The scaling from a solver's unknowns to a scene, and its inverse at the start."""
+    """The scaling from a solver's unknowns to a scene, and its inverse at the start.
+
+    Its methods are compiled: called from the host they would be dozens of small programs.
+    """
 
     scene: Scene  #: the start; what is not free stays as it is here
     light_positions: LightPosition | None  #: one for each light, if their positions are free
@@ -100,6 +103,7 @@ class Parameters(eqx.Module):
         if "light_position" in free:
             self.light_positions = _light_positions(scene)
 
+    @compiled
     def start(self) -> Values:
         """Returns the unknowns at the start, brought within the bounds."""
         return {name: self._start(name) for name in self.free}
@@ -130,6 +134,7 @@ class Parameters(eqx.Module):
             return jnp.where(radius > 0, radius, 1)[:, None]
         return 1
 
+    @compiled
     def natural(self, unknowns: Values) -> Values:
         """Returns the parameters in the scene's units that unknowns stand for."""
         return {name: self._natural(name, y) for name, y in unknowns.items()}
@@ -143,6 +148,7 @@ class Parameters(eqx.Module):
             return jnp.abs(y)
         return (jnp.exp(y) if name in _LOGARITHMIC else y) * self._unit(name)
 
+    @compiled
     def scene_at(self, unknowns: Values) -> tuple[Scene, Float[Array, " 3"]]:
         """Returns the scene that unknowns stand for, and the exposure."""
         natural = self.natural(unknowns)
@@ -152,6 +158,7 @@ class Parameters(eqx.Module):
         leaves = lambda scene: [ACCESSORS[name](scene) for name in natural]
         return eqx.tree_at(leaves, self.scene, list(natural.values())), exposure
 
+    @compiled
     def bounds(self) -> tuple[Values, Values]:
         """Returns the least and the greatest that the unknowns may be."""
         start = self.start()
@@ -171,6 +178,7 @@ def _light_positions(scene: Scene) -> LightPosition:
     return jax.vmap(light_position_at, (0, None, None))(scene.lights.position, middle, size)
 
 
+@compiled
 def bounding_sphere(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
     """Returns the middle of a scene's spheres, and the radius of all around the middle."""
     spheres = scene.spheres

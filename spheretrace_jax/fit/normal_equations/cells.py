@@ -31,6 +31,11 @@ class Cells(eqx.Module):
     turns: Int[Array | np.ndarray, "*n bounces"] | None
     row: Int[Array | np.ndarray, "*n"]  #: of its group, in which row it is; `ROWS` for none
 
+    @property
+    def samples(self) -> np.ndarray:
+        """Returns how many samples each cell has, in NumPy."""
+        return np.count_nonzero(self.weight, axis=-1).astype(np.int32)
+
 
 class Entries(NamedTuple):
     """Which samples count in which pixels."""
@@ -120,23 +125,17 @@ class CellList:
         return made, self.pixel[cell]
 
 
-Arranged = tuple[Cells, np.ndarray]
-"""Cells in groups, and the pixels of each group's rows: the number of pixels for no row."""
+class Arranged(NamedTuple):
+    """Cells in groups."""
 
-
-def with_black(
-    cells: Cells, pixel: np.ndarray, black: np.ndarray, background: int
-) -> tuple[Cells, np.ndarray]:
-    """Adds a cell without weight for each black pixel."""
-    fill = lambda x, value=0: _filled(x, len(x) + len(black), value)
-    filled = jax.tree.map(fill, cells)
-    filled = eqx.tree_at(lambda c: c.object, filled, fill(cells.object, background))
-    return filled, np.concatenate([pixel, black])
+    cells: Cells
+    most: np.ndarray  #: of each group, how many samples its cells have at most
+    pixel: np.ndarray  #: of each group's rows: the number of pixels for no row
 
 
 def arrange_in_chunks(cells: Cells, pixel: np.ndarray, pixels: int) -> Arranged:
-    """Arranges cells in chunks of `CHUNK` rows of one object each."""
-    order = np.argsort(cells.object, kind="stable")
+    """Arranges cells in chunks of `CHUNK` rows of one object each, those of few samples first."""
+    order = np.lexsort((cells.samples, cells.object))
     counts = np.bincount(cells.object)
     chunks = -(-counts // CHUNK)
     starts, slots = np.cumsum(counts) - counts, (np.cumsum(chunks) - chunks) * CHUNK
@@ -144,10 +143,9 @@ def arrange_in_chunks(cells: Cells, pixel: np.ndarray, pixels: int) -> Arranged:
     slot = slots[object_] + np.arange(len(order)) - starts[object_]
     place = lambda x, value=0: _placed(x[order], slot, int(chunks.sum()), CHUNK, value)
     placed = jax.tree.map(place, cells)
-    # also of what fills a chunk up
-    objects = np.repeat(np.arange(len(chunks)), chunks).astype(cells.object.dtype)
-    objects = np.repeat(objects[:, None], CHUNK, axis=1)
-    return eqx.tree_at(lambda c: c.object, placed, objects), place(pixel, pixels)
+    chunks = Arranged(placed, placed.samples.max(axis=1), place(pixel, pixels))
+    order = np.argsort(chunks.most, kind="stable")
+    return jax.tree.map(lambda x: x[order], chunks)
 
 
 def arrange_in_groups(cells: Cells, pixel: np.ndarray, pixels: int, most: int) -> Arranged:
@@ -169,7 +167,8 @@ def arrange_in_groups(cells: Cells, pixel: np.ndarray, pixels: int, most: int) -
     cells = eqx.tree_at(lambda c: c.row, cells, row[of_cell].astype(np.int32))
     place = lambda x, value=0: _placed(x, slot, groups, most, value)
     placed = eqx.tree_at(lambda c: c.row, jax.tree.map(place, cells), place(cells.row, ROWS))
-    return placed, _placed(pixel[starts], group * ROWS + row, groups, ROWS, pixels)
+    pixel = _placed(pixel[starts], group * ROWS + row, groups, ROWS, pixels)
+    return Arranged(placed, placed.samples.max(axis=1), pixel)
 
 
 def _placed(x: np.ndarray, slot: np.ndarray, groups: int, size: int, value: int) -> np.ndarray:
@@ -178,7 +177,3 @@ def _placed(x: np.ndarray, slot: np.ndarray, groups: int, size: int, value: int)
     placed = np.full((groups * size, *x.shape[1:]), value, x.dtype)
     placed[slot] = x
     return placed.reshape(groups, size, *x.shape[1:])
-
-
-def _filled(x: np.ndarray, size: int, value: int) -> np.ndarray:
-    return np.concatenate([x, np.full((size - len(x), *x.shape[1:]), value, x.dtype)])

@@ -9,7 +9,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
@@ -31,7 +30,6 @@ from .cells import (
     arrange_in_chunks,
     arrange_in_groups,
     make_entries,
-    with_black,
 )
 
 #: Samples that are shaded at a time: of points, and of layers, whose shadows have edges.
@@ -46,8 +44,9 @@ class Rows(eqx.Module):
     """Rows as sums of cells, in chunks of one object each, or in groups of several."""
 
     cells: Cells
-    pixel: Int[Array, "*strips groups rows"]  #: the number of pixels for no row
-    count: Int[Array, "*strips"]  #: how many groups there are
+    most: Int[Array | np.ndarray, "*strips groups"]  #: how many samples cells have at most
+    pixel: Int[Array | np.ndarray, "*strips groups rows"]  #: the number of pixels for no row
+    count: Int[Array | np.ndarray, "*strips"]  #: how many groups there are
 
 
 class GBuffer(eqx.Module):
@@ -55,9 +54,9 @@ class GBuffer(eqx.Module):
 
     points: PointSample
     layers: LayerSample | None
-    point_count: Int[Array, " strips"]
-    layer_count: Int[Array, " strips"]
-    alone: Rows  #: of pixels that show one object: `(strips, chunks, CHUNK)`
+    point_count: Int[Array | np.ndarray, " strips"]
+    layer_count: Int[Array | np.ndarray, " strips"]
+    alone: Rows  #: of pixels that show one object: `(strips, chunks, CHUNK)`; none of black ones
     several: Rows  #: of all others: `(strips, groups, CELLS)`
     fixed: list[Array]  #: what the scene has that is not free, as it was traced
 
@@ -76,8 +75,8 @@ def make_gbuffer(scene: Scene, settings: RenderSettings, free: tuple[str, ...]) 
     """
     samples, weights, reach = trace_samples(scene, settings), None, settings.samples**2
     if settings.antialias:
-        edge, reach = jnp.asarray(samples.edge), 5 * reach
-        weights = np.asarray(_filter_weights(scene, edge, settings))
+        reach = 5 * reach
+        weights = np.asarray(_filter_weights(scene, jax.device_put(samples.edge), settings))
     entries = make_entries(
         samples.point_contribution, samples.layer_contribution, weights, settings.width
     )
@@ -88,7 +87,7 @@ def make_gbuffer(scene: Scene, settings: RenderSettings, free: tuple[str, ...]) 
     bounds = np.linspace(0, settings.height, strips + 1).astype(int) * settings.width
     known = not settings.needs.dark_paths
     parts = [
-        _Strip(samples, entries.between(begin, end), scene.objects, known, begin, end)
+        _Strip(samples, entries.between(begin, end), scene.objects, known)
         for begin, end in itertools.pairwise(bounds.tolist())
     ]
     most = max(part.cells.most_in_a_pixel(SAMPLES) for part in parts)
@@ -113,15 +112,7 @@ def _filter_weights(scene: Scene, edge: Array, settings: RenderSettings) -> Arra
 class _Strip:
     """A strip of the picture in NumPy arrays, before it has the size of the largest."""
 
-    def __init__(
-        self,
-        samples: ShadingSamples,
-        entries: Entries,
-        background: int,
-        known: bool,
-        begin: int,
-        end: int,
-    ):
+    def __init__(self, samples: ShadingSamples, entries: Entries, background: int, known: bool):
         used, number = np.unique(entries.sample, return_inverse=True)
         points, layers = used[used >= 0], -1 - used[used < 0][::-1]
         entries = entries._replace(sample=number - len(layers))
@@ -131,14 +122,13 @@ class _Strip:
         # a negative number counts from the end, as layers do
         self.cells = CellList(entries, object_[entries.sample], turns[:, entries.sample])
         self.only = self.cells.only_cells(no_turn=2 * background)
-        self.known, self.background = known, background
-        self.black = np.setdiff1d(np.arange(begin, end), self.cells.pixel)
+        self.known = known
         self.points, self.layers = take(samples.points, points), take(samples.layers, layers)
 
     def alone(self, reach: int, pixels: int) -> Arranged:
-        """Arranges the rows of pixels with one cell, and black ones."""
+        """Arranges the rows of pixels with one cell."""
         cells = self.cells.cells(np.flatnonzero(self.only), reach, self.known)
-        return arrange_in_chunks(*with_black(*cells, self.black, self.background), pixels)
+        return arrange_in_chunks(*cells, pixels)
 
     def several(self, samples: int, pixels: int, most: int) -> Arranged:
         """Arranges the rows of all other pixels."""
@@ -174,16 +164,16 @@ def _stacked(
         stacked_layers = _stack(layers, _size(layer_count, LAYERS))
 
     def rows(arranged: list[Arranged]) -> Rows:
-        counts = np.array([len(pixel) for _, pixel in arranged], np.int32)
-        cells, pixel = _stack(arranged, _size(counts, 1), axis=0)
+        counts = np.array([len(each.most) for each in arranged], np.int32)
+        cells, most, pixel = _stack(arranged, _size(counts, 1), axis=0)
         sample = np.where(cells.sample < 0, first_layer - 1 - cells.sample, cells.sample)
         cells = eqx.tree_at(lambda c: c.sample, cells, sample.astype(np.int32))
-        return Rows(cells, jnp.asarray(pixel, jnp.int32), jnp.asarray(counts))
+        return Rows(cells, most, pixel.astype(np.int32), counts)
 
     stacked_points = _stack(points, first_layer)
-    counts = jnp.asarray(point_count), jnp.asarray(layer_count)
-    buffer = GBuffer(stacked_points, stacked_layers, *counts, rows(alone), rows(several), [])
-    return jax.tree.map(jnp.asarray, buffer)
+    rows_ = rows(alone), rows(several)
+    buffer = GBuffer(stacked_points, stacked_layers, point_count, layer_count, *rows_, [])
+    return jax.device_put(buffer)
 
 
 def _stack(trees: list[Any], size: int, axis: int = -1) -> Any:

@@ -137,7 +137,9 @@ def _of_samples(
         sums = equations.sums(buffer, settings.width * settings.height)
         sums = lax.psum(sums, settings.rows.axes) if settings.rows.axes else sums
         picture = sums.seen.reshape(target.image.shape)
-        return NormalEquations(*equations.by_parameters(sums.products), (picture,))
+        residual = target.residual(picture, exposure).astype(sums.products.dtype)
+        cost = jnp.sum(residual**2) / 2
+        return NormalEquations(*equations.by_parameters(sums), cost, (picture,))
 
     if settings.sharding is None:
         return of_strips((scene, exposure, target, settings), buffer)

@@ -72,11 +72,6 @@ def _dense_residual(values: PyTree, problem: Problem) -> tuple[Float[Array, " nu
 
 
 @compiled
-def _scenes(problem: Problem, values: PyTree) -> list[Any]:
-    return [scene for scene, _ in problem.scenes_at(values)]
-
-
-@compiled
 def _init(solver: Any, fn: Callable, args: Any, values: PyTree) -> Any:
     shape, _ = jax.eval_shape(fn, values, args)
     return solver.init(fn, values, args, _solver_options(fn), shape, None, frozenset())
@@ -235,7 +230,7 @@ class Driver:
     def _report(self, problem: Problem, values: PyTree, state: Any) -> None:
         if self.callback is None:
             return
-        scenes = _scenes(problem, values)
+        scenes = [scene for scene, _ in problem.scenes_at(values)]
         search = getattr(state, "search_state", None)
         size = float(getattr(search, "step_size", 1.0))
         damping = 1 / size if size else float("inf")
