@@ -114,8 +114,8 @@ class ShadingEquations(eqx.Module):
         block = lambda k: jax.tree.map(
             lambda x: lax.dynamic_slice_in_dim(x, k * size, size, axis=-1), samples
         )
-        shape = jax.eval_shape(lambda: of_block(block(0))).shape
-        basis = jnp.zeros((*shape[:2], total), self.shading.context.dtype)
+        shape = 1 if samples.tint is None else 3, self.shading.numbers, total
+        basis = jnp.zeros(shape, self.shading.context.dtype)
 
         def add(k: Index, basis: Basis) -> Basis:
             k = keep_loop_parallel(jnp.asarray(k))

@@ -22,6 +22,9 @@ from .levenberg_marquardt import CautiousTrustRegion
 # larger one leaves the finer picture more of the way.
 _COARSE_DECREASE = 0.1
 
+# The decrease of the cost, as a part of it, below which a step gains little.
+_LEAST_GAIN = 0.1
+
 # How often samples are traced again at most, and how far lights may move, in tolerances, for the
 # edges of their shadows to stay in their pixels. Fits of the lecture's scene trace twice.
 _MOST_TRACES, _STILL = 6, 10
@@ -187,7 +190,7 @@ class Driver:
         **Returns:** the best values and the last step size, if they go on in a finer picture.
         """
         self.result = optx.RESULTS.nonlinear_max_steps_reached
-        before = np.inf
+        before, move_before = np.inf, np.inf
         try:
             args = self._args(problem, values)
             state = _init(self.solver, self.fn, args, values)
@@ -196,6 +199,7 @@ class Driver:
             for _ in range(self.max_steps):
                 values, cost, state, move = _step(self.solver, self.fn, args, values, state)
                 self.costs.append(float(cost))
+                move = float(move)
                 self._report(problem, values, state)
                 if not np.isfinite(self.costs[-1]):
                     self.result = optx.RESULTS.nonfinite
@@ -203,16 +207,19 @@ class Driver:
                 done, result = self.solver.terminate(
                     self.fn, values, args, _solver_options(self.fn), state, frozenset()
                 )
-                # or only steps are left that do not lower the cost, below the tolerance or so small
-                # that its rounding hides what they do: a step changes the cost by its square
-                rejected = getattr(state, "num_steps_since_acceptance", 0)
-                hidden = np.sqrt(np.finfo(np.float64).eps)
-                if done or (rejected >= 2 and move < max(self.tolerance, hidden)):
+                # or a step below the tolerance gained little, if any (the solver's own test asks
+                # that residuals stay, but compressed ones turn); or only steps are left that are
+                # so small that rounding hides what they do: a step changes the cost by its square
+                rejected = getattr(state, "num_steps_since_acceptance", None)
+                gained = before - self.costs[-1] > _LEAST_GAIN * before
+                still = rejected is not None and move_before < self.tolerance and not gained
+                hidden = move < np.sqrt(np.finfo(np.float64).eps)
+                if done or still or (rejected is not None and rejected >= 2 and hidden):
                     self.result = result
                     break
                 if not rejected and before * (1 - least_decrease) < self.costs[-1] < before:
                     break
-                before = self.costs[-1]
+                before, move_before = self.costs[-1], move
                 args = self._args(problem, _next(values, state))
         except KeyboardInterrupt:
             self.interrupted = True
