@@ -19,6 +19,10 @@ from .outliers import find_outliers, resting_on_outliers
 # structure of up to half a level. Lower limits distrust fits for the errors of the file.
 _UNEXPLAINED, _UNEXPLAINED_8_BIT = 1e-3, 1e-2
 
+# How far the numbers of one level of an 8-bit picture are apart at most. Its levels, as sRGB has
+# them where it is dark, are thirty times as far apart.
+_ROUNDING = 1e-5
+
 # The margin for chance, in standard deviations. Free numbers fit as much of any noise as there are
 # of them, give or take this margin: a scene that fits no more of a picture explains nothing.
 _CHANCE = 5
@@ -155,13 +159,20 @@ def _structure(
     outliers = np.where(square > limit, square, 0)
     structure = max(share, 0) * np.mean(square) + np.mean(outliers)
     row, column = np.unravel_index(_smooth_power(residual).argmax(), residual.shape[:2])
-    # neighbouring levels of 8 bits are further apart than rounding, also where it is dark
-    coarse = len(np.unique(np.round(np.asarray(target.image), 5))) <= 256
     return (
         float(np.sqrt(structure) / _scale(target)),
         f"most of it near column {column}, row {row}",
-        _UNEXPLAINED_8_BIT if coarse else _UNEXPLAINED,
+        _UNEXPLAINED_8_BIT if _has_8_bits(np.asarray(target.image)) else _UNEXPLAINED,
     )
+
+
+def _has_8_bits(image: np.ndarray) -> bool:
+    """Tests whether a picture has no more than 256 levels, give or take rounding."""
+    values = np.unique(image)
+    # neighbouring levels of 8 bits are further apart than rounding, also where it is dark
+    first = np.flatnonzero(np.diff(values, prepend=-np.inf) > _ROUNDING)
+    last = np.append(first[1:], len(values)) - 1
+    return len(first) <= 256 and bool(np.all(values[last] - values[first] <= _ROUNDING))
 
 
 def _smooth_power(residual: np.ndarray) -> np.ndarray:
