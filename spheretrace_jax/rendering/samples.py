@@ -25,19 +25,21 @@ from .wavefront import ray_radiance
 EDGE_PIXELS = 1 << 11
 
 
-def render_samples(context: TraceContext) -> tuple[Vec | Picture, Mask]:
+def render_samples(context: TraceContext, cover: bool = True) -> tuple[Vec | Picture, Mask]:
     """Returns the mean of each pixel's samples, and where there may be edges.
 
     Where edges are covered, the mean is a `Vec` with the rows above and below; of single rays it is
     the picture.
+
+    **Arguments:** `cover`: false where only the edges are asked for: the colours are none then.
     """
     settings, k = context.settings, context.settings.samples
     positions = sample_positions(context.scene, settings)
     if k == 1:
-        return _render_sample(context, positions[0][0], positions[1][0])
+        return _render_sample(context, positions[0][0], positions[1][0], cover)
 
     def add(total: tuple, position: tuple) -> tuple[tuple, None]:
-        color, edge = _render_sample(context, *position)
+        color, edge = _render_sample(context, *position, cover)
         return (total[0] + color, total[1] | edge), None
 
     rows, width = settings.rows.count, settings.width
@@ -105,7 +107,9 @@ def _positions(
     return left + column.astype(left.dtype), top + row.astype(top.dtype)
 
 
-def _render_sample(context: TraceContext, left: Array, top: Array) -> tuple[Vec | Picture, Mask]:
+def _render_sample(
+    context: TraceContext, left: Array, top: Array, cover: bool
+) -> tuple[Vec | Picture, Mask]:
     """Renders one sample of each pixel, strip by strip; returns what `render_samples` does."""
     scene, settings = context.scene, context.settings
     dtype, width, height = context.dtype, settings.width, settings.height
@@ -145,6 +149,8 @@ def _render_sample(context: TraceContext, left: Array, top: Array) -> tuple[Vec 
     # with a place for the rows above and below from now on, no copy is made where neighbours are
     # asked for (22 against 33 ms for the nine spheres' picture)
     color = jax.tree.map(settings.rows.with_neighbours, color)
+    if not cover:
+        return color, edge
     mask = jnp.pad(edge, ((1, 1), (0, 0))).reshape(-1)
     flat = jax.tree.map(jnp.ravel, color)
     flat = add_where(flat, mask, composite, min(EDGE_PIXELS, edge.size), rematerialize=True)

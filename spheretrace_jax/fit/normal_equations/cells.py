@@ -143,9 +143,9 @@ def arrange_in_chunks(cells: Cells, pixel: np.ndarray, pixels: int) -> Arranged:
     slot = slots[object_] + np.arange(len(order)) - starts[object_]
     place = lambda x, value=0: _placed(x[order], slot, int(chunks.sum()), CHUNK, value)
     placed = jax.tree.map(place, cells)
-    chunks = Arranged(placed, placed.samples.max(axis=1), place(pixel, pixels))
-    order = np.argsort(chunks.most, kind="stable")
-    return jax.tree.map(lambda x: x[order], chunks)
+    arranged = Arranged(placed, placed.samples.max(axis=1), place(pixel, pixels))
+    order = np.argsort(arranged.most, kind="stable")
+    return jax.tree.map(lambda x: x[order], arranged)
 
 
 def arrange_in_groups(cells: Cells, pixel: np.ndarray, pixels: int, most: int) -> Arranged:

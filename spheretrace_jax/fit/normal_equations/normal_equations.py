@@ -157,7 +157,7 @@ def _of_rows(
     """Sums the part of the rows that are to be computed. **Arguments:** `target`: of these rows."""
     context = build_context(scene, settings, accelerated=settings.antialias)
     # only the mask is used, so that XLA drops all else
-    edge = render_samples(context)[1] if settings.antialias else None
+    edge = render_samples(context, cover=False)[1] if settings.antialias else None
     context = context.unaccelerated()
     buckets = bucket_pixels(context, index, target.counts, edge)
     weights = None if edge is None else filter_weights(edge, settings, scene.dtype)
