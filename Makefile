@@ -24,9 +24,10 @@ study: $(READY)
 extremes: $(READY)
 	$(BIN)/python tests/extremes/page.py
 
-# run times against Mitsuba and POV-Ray
+# run times against Mitsuba and POV-Ray; what a user of the lecture's file waits for
 bench: $(READY)
 	$(BIN)/python tests/bench/speed.py
+	$(BIN)/python tests/bench/lecture.py
 
 # pictures, derivatives and cost of covered edges; about twenty minutes
 bench-edges: $(READY)

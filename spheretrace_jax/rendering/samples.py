@@ -39,7 +39,8 @@ def render_samples(context: TraceContext, cover: bool = True) -> tuple[Vec | Pic
         return _render_sample(context, positions[0][0], positions[1][0], cover)
 
     def add(total: tuple, position: tuple) -> tuple[tuple, None]:
-        color, edge = _render_sample(context, *position, cover)
+        left, top = position
+        color, edge = _render_sample(context, left, top, cover)
         return (total[0] + color, total[1] | edge), None
 
     rows, width = settings.rows.count, settings.width

@@ -167,10 +167,10 @@ def two_samples(scene):
     return picture(scene, samples=2, bounces=0)
 
 
-SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in (several_lights, two_samples)]
+SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in (gradient, several_lights, two_samples)]
 
 
-@pytest.mark.parametrize("draw", [picture, gradient, *SLOW], ids=IDS)
+@pytest.mark.parametrize("draw", [picture, *SLOW], ids=IDS)
 def test_same_pictures_and_gradients(draw, monkeypatch):
     monkeypatch.setattr(samples, "STRIP_PIXELS", 700)  # three strips
     jax.clear_caches()

@@ -35,6 +35,7 @@ def derivatives():
     return derivative(scene.with_antialias(1), **SIZE), derivative(scene, **SIZE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_derivative_error(name):
     smooth, hard = (by(name) for by in derivatives())
@@ -61,6 +62,7 @@ def test_forward_reverse_and_differences():
     assert {"spheres.center", "spheres.radius", "camera.phi", "camera.distance"} <= moving
 
 
+@pytest.mark.slow
 def test_gradient_is_traced():
     # tracing finds what JAX cannot transpose; compiling as well would take half a minute
     scene = three_spheres(antialias=1)

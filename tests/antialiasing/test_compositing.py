@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from helpers.antialiasing import CROSSINGS, SIZE, ambient_spheres, supersampled, with_window
 from helpers.derivatives import off
 
@@ -31,6 +32,7 @@ def test_terminator_along_a_silhouette():
     assert off(st.render(scene, **settings), truth) < 0.05
 
 
+@pytest.mark.slow
 def test_crossing_of_spheres_is_an_edge():
     scene = ambient_spheres([[-30.0, 3, 0], [36, -5, 9]], 60.0, ka=[0.3, 1.0])
     scene = with_window(scene, 256.0)

@@ -36,6 +36,7 @@ def largest_miss(monkeypatch, scene: st.Scene, **settings) -> float:
     return float(np.abs(all_edges(monkeypatch, scene, **settings) - masked).max())
 
 
+@pytest.mark.slow
 def test_no_edge_is_missed(monkeypatch):
     assert largest_miss(monkeypatch, without_smooth_means(three_spheres()), **SIZE) < 6e-3
 

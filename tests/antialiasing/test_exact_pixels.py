@@ -48,6 +48,7 @@ def seen(scene: st.Scene) -> tuple:
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("planes", "inside")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shadows", *SLOW])
 def test_areas_agree_with_rays_away_from_edges(name):
     ids, lit, smooth, hits = jax.tree.map(np.asarray, seen(SCENES[name]))

@@ -12,6 +12,7 @@ from helpers.scenes import FLAT, three_spheres
 import spheretrace_jax as st
 
 
+@pytest.mark.slow
 def test_error_of_several_shadows():
     lights = st.Lights([[200.0, 300, 500], [0, 0, 1e5], [-300, 200, 300]], np.full((3, 3), 0.5))
     scene = eqx.tree_at(lambda s: s.lights, three_spheres(), lights)

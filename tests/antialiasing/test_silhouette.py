@@ -23,6 +23,7 @@ def ambient(scene: st.Scene) -> Float[Array, "9 9"]:
     return st.render(with_window(scene, 9.0), needs=FLAT, **TINY)[..., 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("center", [[0.0, 0, 0], [0.3, -0.4, 100], [-0.8, 0.7, -60]])
 def test_picture_sums_to_silhouette_area(center):
     exact, change = jax.value_and_grad(silhouette_area, 1)(center, 1.2)

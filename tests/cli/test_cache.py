@@ -48,6 +48,7 @@ def test_programs_are_kept_and_cleared(run):
     assert ": 0 compiled programs kept, 0.0 MB" in run("cache")[1]
 
 
+@pytest.mark.slow
 def test_damaged_and_foreign_caches_are_ignored(run):
     assert run(*RENDER)[0] == 0
     for file in Path("cache").rglob("*-cache"):

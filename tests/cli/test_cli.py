@@ -137,6 +137,7 @@ def test_info_shows_the_first_of_many_spheres(spheretrace):
 CHECK = ("check", "scene.txt", "--size", "16x12", "--bounces", "0")
 
 
+@pytest.mark.slow
 def test_check_says_that_all_is_well_or_what_is_not(spheretrace):
     status, out, err = spheretrace(*CHECK)
     assert (status, err) == (0, "")

@@ -393,6 +393,7 @@ def test_pictures_of_other_numbers_are_not_written(dtype, tmp_path):
         st.write_image(tmp_path / "a.png", np.ones((2, 2, 3), dtype))
 
 
+@pytest.mark.slow
 def test_black_pictures_in_few_bytes_are_read(tmp_path):
     """Reads the files with the most pixels per byte."""
     black = np.zeros((2048, 2048, 1), np.uint8)

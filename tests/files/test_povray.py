@@ -54,7 +54,13 @@ def test_covered_edges_are_near_povrays_many_rays(reference):
     assert error(st.render(sharp, **options)) > 3e-2, "one ray per pixel is far off"
 
 
-@pytest.mark.parametrize("reference", SHARP, ids=lambda reference: reference["name"])
+@pytest.mark.parametrize(
+    "reference",
+    [  # every other one is enough to show that something broke
+        pytest.param(reference, id=reference["name"], marks=pytest.mark.slow if k % 2 else ())
+        for k, reference in enumerate(SHARP)
+    ],
+)
 def test_picture_equals_that_of_povray(reference):
     name, width, height = (reference[key] for key in ("name", "width", "height"))
     options = {key: reference[key] for key in ("width", "height", "highlight", "bounces")}

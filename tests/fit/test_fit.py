@@ -158,7 +158,12 @@ def test_ones_count_below_brighter_pixels():
 
 
 @pytest.mark.parametrize(
-    "solver", [optx.Dogleg, optx.GaussNewton, optx.LevenbergMarquardt, optx.BFGS]
+    "solver",
+    [
+        optx.GaussNewton,
+        optx.BFGS,
+        *(pytest.param(s, marks=pytest.mark.slow) for s in (optx.Dogleg, optx.LevenbergMarquardt)),
+    ],
 )
 def test_optimistix_solvers(solver):
     truth = with_random_colors(nine_spheres(LIGHT))
@@ -170,7 +175,11 @@ def test_optimistix_solvers(solver):
 
 
 @pytest.mark.parametrize(
-    "solver", [optx.OptaxMinimiser(optax.adam(0.03), 1e-6, 1e-6), optx.NelderMead(1e-4, 1e-4)]
+    "solver",
+    [
+        optx.OptaxMinimiser(optax.adam(0.03), 1e-6, 1e-6),
+        pytest.param(optx.NelderMead(1e-4, 1e-4), marks=pytest.mark.slow),
+    ],
 )
 def test_other_solvers(solver):
     truth, seen = three_apart([900.0, -400, 700]), dict(width=24, height=24, bounces=0)

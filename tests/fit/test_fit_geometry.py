@@ -135,6 +135,7 @@ def test_users_solver_stays_fine(monkeypatch):
     assert not driver.Driver(own, True, 1e-8, 9, None).coarse_to_fine
 
 
+@pytest.mark.slow
 def test_boxes_are_pixels_of_smaller_picture():
     # ambient light alone, so that no smooth shading is averaged by its neighbours
     scene = eqx.tree_at(

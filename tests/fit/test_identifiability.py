@@ -160,7 +160,10 @@ SHADES_CASES = {
 }
 
 
-@pytest.mark.parametrize("double", [True, False], ids=["float64", "float32"])
+@pytest.mark.parametrize(
+    "double",
+    [pytest.param(True, id="float64"), pytest.param(False, id="float32", marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("case", SHADES_CASES)
 def test_shades(case, double):
     changes, nullity, words = SHADES_CASES[case]

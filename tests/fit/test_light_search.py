@@ -34,7 +34,11 @@ def grey(truth: st.Scene) -> st.Scene:
         pytest.param(
             world([600.0, -300, 1500], [-500, 400, 1200]), id="two lights", marks=pytest.mark.slow
         ),
-        pytest.param(world([900.0, -400, 700], [-600, 100, 900]), id="in shadow of one another"),
+        pytest.param(
+            world([900.0, -400, 700], [-600, 100, 900]),
+            id="in shadow of one another",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_start_from_nothing(truth):
@@ -71,6 +75,7 @@ def test_starts_of_separable_problems():
     assert len(starts(scene, (*free, "radius"))) == 1
 
 
+@pytest.mark.slow
 def test_invisible_spheres_stay():
     away = eqx.tree_at(lambda s: s.spheres.center, world([9.0, 9, 9]), jnp.full((3, 3), 1e4))
     found = st.fit(away, np.full((8, 8, 3), 0.5), bounces=0, max_steps=20)

@@ -96,7 +96,10 @@ def check(case):
     np.testing.assert_array_equal(np.asarray(found.square)[lengths == 0], 0)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if k else ()) for k, n in enumerate(CASES)],
+)
 def test_dense_jacobian(name):
     check(CASES[name])
 

@@ -86,6 +86,7 @@ def assert_sum(whole, *parts) -> None:
     np.testing.assert_allclose(whole.cost, sum(float(p.cost) for p in parts), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_two_cameras(pictures):
     found = st.fit(starts(CAMERAS), pictures, **PLAIN)
     assert found.converged and found.trust.ok

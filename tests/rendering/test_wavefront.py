@@ -39,6 +39,7 @@ def differentiated(scene: st.Scene) -> tuple:
     return (*jax.jvp(picture, (moving,), (jax.tree.map(jnp.ones_like, moving),)), slopes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["glass", *slow("mirrors", "planes")])
 def test_chunks_equal_all_at_once(name, monkeypatch):
     # the camera moves the first rays, kgr and kt scale the secondary rays

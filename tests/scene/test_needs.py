@@ -174,7 +174,10 @@ def lean_and_full(name: str, **changes) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.asarray(st.render(scene, needs=n, **size)) for n in (None, full))
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if k % 2 else ()) for k, n in enumerate(SCENES)],
+)
 def test_leaving_out_changes_no_picture(name):
     lean, full = lean_and_full(name)
     np.testing.assert_allclose(lean, full, rtol=4e-15, atol=1e-15)

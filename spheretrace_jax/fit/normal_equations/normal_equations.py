@@ -32,6 +32,7 @@ from .bucketed_picture import (
     look_by_ray,
     mean_of_samples,
 )
+from .chain_rule import by_parameters
 from .gbuffer import GBuffer
 from .jacobian_rows import ColorAndRows, color_and_rows
 from .parameter_index import ParameterIndex
@@ -139,7 +140,7 @@ def _of_samples(
         picture = sums.seen.reshape(target.image.shape)
         residual = target.residual(picture, exposure).astype(sums.products.dtype)
         cost = jnp.sum(residual**2) / 2
-        return NormalEquations(*equations.by_parameters(sums), cost, (picture,))
+        return NormalEquations(*by_parameters(equations, sums), cost, (picture,))
 
     if settings.sharding is None:
         return of_strips((scene, exposure, target, settings), buffer)

@@ -194,34 +194,6 @@ class ShadingEquations(eqx.Module):
 
         return lax.fori_loop(0, -(-rows.count // _CHUNKS), add, sums)
 
-    def _products_alone(self, alone: Float[Array, "objects 3 x x"]) -> Float[Array, "3 all all"]:
-        """Returns the products of rows of one object by the numbers of which rows are made."""
-        shading, own, dtype = self.shading, self.shading.own, alone.dtype
-        # rows are linear in the numbers of samples: what each of these numbers alone gives
-        unit = jnp.eye(shading.numbers, dtype=dtype)[None]
-
-        def columns(factors: Float[Array, "3 x"]) -> Float[Array, "3 columns numbers"]:
-            factors = factors.astype(dtype)[..., None]
-            parts = [jnp.repeat(unit[:, :own], 3, axis=0), shading.light_columns(unit, factors)]
-            if self.turns is not None:
-                parts.append(jnp.zeros((3, self.turns.size, shading.numbers), dtype))
-            if self.index.exposure is not None:
-                seen = shading.seen(unit, factors) / self.exposure[:, None].astype(dtype)
-                parts.append(seen[:, None])
-            return jnp.concatenate(parts, axis=1)
-
-        by_numbers = jax.vmap(columns)(self.factors)
-        by_numbers = jnp.pad(by_numbers, ((0, 0), (0, 0), (0, 1), (0, 1)))
-        by_numbers = by_numbers.at[:, :, -1, -1].set(1)
-        products = jnp.einsum("ocam,ocmn,ocbn->coab", by_numbers, alone, by_numbers)
-        # the numbers of the object, and after those of all objects what rows have beside them
-        numbers = np.arange(own + self.extras)
-        holder = np.where(numbers < own, np.arange(self.objects)[:, None], self.objects - 1)
-        place = holder * own + numbers
-        size = self.objects * own + self.extras
-        total = jnp.zeros((3, size, size), dtype)
-        return total.at[:, place[:, :, None], place[:, None, :]].add(products)
-
     def _add_several(self, sums: ShadingSums, rows: Rows, basis: Basis) -> ShadingSums:
         """Adds all other pixels, group by group."""
         shading, own = self.shading, self.shading.own
@@ -283,58 +255,6 @@ class ShadingEquations(eqx.Module):
             jnp.moveaxis(by_turns, 0, -1).swapaxes(0, 1), mode="drop"
         )
         return jnp.moveaxis(columns, (0, 2), (2, 0))
-
-    # -- the chain rule
-
-    def by_parameters(
-        self, sums: ShadingSums
-    ) -> tuple[Float[Array, "free free"], Float[Array, " free"]]:
-        """Returns J^T J and J^T r, by the free parameters."""
-        products = sums.products + self._products_alone(sums.alone)
-        shading, dtype = self.shading, products.dtype
-        spheres, places = shading.sphere_columns()
-        spheres = spheres.astype(dtype)
-        _, count, own, width = spheres.shape
-        shared, shared_places = self._shared_columns()
-        shared, size = shared.astype(dtype), products.shape[-1]
-        rows = products[:, : count * own].reshape(3, count, own, size)
-        left = jnp.einsum("cniw,cnim->cnwm", spheres, rows).reshape(3, count * width, size)
-        left = jnp.concatenate([left, jnp.einsum("cmd,cmk->cdk", shared, products)], axis=1)
-        total = left.shape[1]
-        columns = left[:, :, : count * own].reshape(3, total, count, own)
-        square = jnp.einsum("cmni,cniw->mnw", columns, spheres).reshape(total, count * width)
-        square = jnp.concatenate([square, jnp.einsum("ckm,cmd->kd", left, shared)], axis=1)
-        order = np.argsort(np.concatenate([places.reshape(-1), shared_places]))
-        gradient = jnp.sum(left[:, :, -1], axis=0)
-        return square[order][:, order], gradient[order]
-
-    def _shared_columns(self) -> tuple[Float[Array, "3 all columns"], np.ndarray]:
-        """Returns the columns that no sphere has to itself, as multiples of the rows' numbers."""
-        shading, index = self.shading, self.index
-        colors, first = shading.color_columns(), self.objects * shading.own
-        colors = jnp.pad(colors.reshape(3, first, -1), ((0, 0), (0, self.extras), (0, 0)))
-        places = [index.lights[name] for name in ("light_color",) if name in index.lights]
-        units = []  # columns that are numbers of the rows as they are
-        if shading.by_position:
-            places.append(index.lights["light_position"])
-            units.append(first + np.arange(shading.by_position))
-            first += shading.by_position
-        if self.turns is not None:
-            spheres = np.arange(shading.context.tables.sphere_count)
-            for name, shift in (("kgr", 0), ("kt", self.objects - 1)):
-                if name in index.spheres:
-                    places.append(index.spheres[name])
-                    units.append(first + shift + spheres)
-            first += self.turns.size
-        number = np.concatenate([np.zeros(0, int), *units])
-        identity = np.zeros((3, colors.shape[1], number.size))
-        identity[:, number, np.arange(number.size)] = 1
-        parts = [colors, jnp.asarray(identity, colors.dtype)]
-        if index.exposure is not None:
-            places.append(index.exposure)
-            parts.append(jnp.zeros((3, colors.shape[1], 3)).at[:, first].set(jnp.eye(3)))
-        places = np.concatenate([np.zeros(0, int), *(p.reshape(-1) for p in places)])
-        return jnp.concatenate(parts, axis=2), places
 
 
 def _products(
