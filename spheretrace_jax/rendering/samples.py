@@ -31,7 +31,7 @@ def render_samples(context: TraceContext, cover: bool = True) -> tuple[Vec | Pic
     Where edges are covered, the mean is a `Vec` with the rows above and below; of single rays it is
     the picture.
 
-    **Arguments:** `cover`: false where only the edges are asked for: the colours are none then.
+    **Arguments:** `cover`: false to leave pixels with edges black, where the mask is enough.
     """
     settings, k = context.settings, context.settings.samples
     positions = sample_positions(context.scene, settings)

@@ -35,13 +35,14 @@ _CHUNKS = 1 << 4
 class ShadingSums(eqx.Module):
     """Sums of products of the numbers of which the rows of J are made, for each channel.
 
-    These are, in order: the numbers of each object and of the background; the columns of the
-    lights' positions; those of kgr and kt (`all_turns`), if they are free; that of the exposure, if
-    it is free; and the residual.
+    Rows of several objects are made of, in order: the numbers of each object and of the background;
+    the columns of the lights' positions; those of kgr and kt (`all_turns`), if they are free; that
+    of the exposure, if it is free; and the residual. Rows of one object are made of the numbers of
+    its samples and the residual.
     """
 
-    products: Float[Array, "3 all all"]
-    #: of rows of one object, the products of the numbers of samples and the residual
+    products: Float[Array, "3 all all"]  #: of rows of several objects
+    #: of rows of one object
     alone: Float[Array, "objects 3 x x"]
     seen: Float[Array, "pixels 3"]  #: the picture
 
