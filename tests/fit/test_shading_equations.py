@@ -7,6 +7,7 @@ import pytest
 from helpers.scenes import SCENES, nine_spheres, three_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.fit.normal_equations.cells import Cells
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.problem.problem import normal_at
 
@@ -93,3 +94,10 @@ def test_stale_samples_are_dropped():
     assert other.buffers[0] is None
     traced = jax.eval_shape(lambda p: p.without_stale_samples().buffers[0], problem)
     assert traced is None
+
+
+def test_samples_after_weights_that_underflow_count():
+    weight = np.array([[0.5, 0, 0], [0, 0.5, 0], [0, 0, 0], [0, 0, 0.5]])
+    none = np.zeros(4, np.int32)
+    cells = Cells(np.zeros((4, 3), np.int32), weight, none, None, none)
+    np.testing.assert_array_equal(cells.samples, [1, 2, 0, 3])

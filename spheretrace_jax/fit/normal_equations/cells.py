@@ -33,8 +33,10 @@ class Cells(eqx.Module):
 
     @property
     def samples(self) -> np.ndarray:
-        """Returns how many samples each cell has, in NumPy."""
-        return np.count_nonzero(self.weight, axis=-1).astype(np.int32)
+        """Returns up to which of its samples each cell has weights, in NumPy."""
+        # not how many: a weight may underflow to 0 before others
+        number = np.arange(1, self.weight.shape[-1] + 1, dtype=np.int32)
+        return np.max(np.where(self.weight != 0, number, 0), axis=-1)
 
 
 class Entries(NamedTuple):

@@ -171,9 +171,8 @@ def _stacked(
         return Rows(cells, most, pixel.astype(np.int32), counts)
 
     stacked_points = _stack(points, first_layer)
-    rows_ = rows(alone), rows(several)
-    buffer = GBuffer(stacked_points, stacked_layers, point_count, layer_count, *rows_, [])
-    return jax.device_put(buffer)
+    samples = stacked_points, stacked_layers, point_count, layer_count
+    return jax.device_put(GBuffer(*samples, rows(alone), rows(several), []))
 
 
 def _stack(trees: list[Any], size: int, axis: int = -1) -> Any:
