@@ -16,7 +16,7 @@ SAID = README.read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", SAID, re.DOTALL)
 COMMANDS = re.findall(r"^    ((?:spheretrace|python|make) .*?)(?:  +#.*)?$", SAID, re.MULTILINE)
 
-#: What commands write, and whether files or a printed line tell that they did their work.
+#: The files that commands write.
 WRITTEN = {
     "render": ["nine.png"],
     "fit": ["fitted.txt"],

@@ -6,7 +6,6 @@ a process of its own, without a cache, so that first calls are first calls.
 
 import argparse
 import json
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -19,8 +18,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from fit import nine_spheres, timed
 from rich.console import Console
 from rich.table import Table
+from speed import shadowed_spheres
 
 import spheretrace_jax as st
 from spheretrace_jax.xla.jit import compiler_options
@@ -32,24 +33,17 @@ CLI = [sys.executable, "-c", "from spheretrace_jax.cli.main import main; main()"
 
 def scene_of_file(shadows: bool) -> st.Scene:
     """Returns the lecture's scene; its own light casts no shadows."""
-    scene = st.load_scene(FILE)
-    lights = st.Lights(jnp.array([[100, 900, 300]], jnp.float32))
-    return eqx.tree_at(lambda s: s.lights, scene, lights) if shadows else scene
+    return (shadowed_spheres() if shadows else nine_spheres("float32")).with_antialias(1)
 
 
-def timed(work: Callable[[], Any], runs: int = RUNS) -> list[float]:
-    """Returns the times of the first call and of the median of later ones, in seconds."""
-    times = []
-    for _ in range(1 + runs):
-        start = time.perf_counter()
-        jax.block_until_ready(work())
-        times.append(time.perf_counter() - start)
-    return [times[0], statistics.median(times[1:])]
+def seconds(work: Callable[[], Any], runs: int = RUNS) -> list[float]:
+    """Returns the times of the first call and of the median of later ones."""
+    return list(timed(lambda: jax.block_until_ready(work()), runs)[1:])
 
 
 def picture(shadows: bool, bounces: int = 5) -> list[float]:
     scene = scene_of_file(shadows)
-    return timed(lambda: st.render(scene, width=SIZE, height=SIZE, bounces=bounces))
+    return seconds(lambda: st.render(scene, width=SIZE, height=SIZE, bounces=bounces))
 
 
 def gradient(bounces: int) -> list[float]:
@@ -58,8 +52,8 @@ def gradient(bounces: int) -> list[float]:
     draw = lambda scene: st.render(scene, width=SIZE, height=SIZE, bounces=bounces, needs=needs)
     loss = lambda scene: jnp.mean((draw(scene) - 0.3) ** 2)
     slope = jax.jit(jax.grad(loss), compiler_options=compiler_options())
-    found = timed(lambda: slope(scene))
-    return [*found, found[1] / timed(lambda: draw(scene))[1]]
+    found = seconds(lambda: slope(scene))
+    return [*found, found[1] / seconds(lambda: draw(scene))[1]]
 
 
 def fit(shadows: bool) -> list[float]:
@@ -108,11 +102,11 @@ def closure(antialias: int) -> list[float]:
 
     loss = lambda color, scene: jnp.mean(draw(scene, color) ** 2)
     color = scene.spheres.color
-    seconds = lambda work: timed(work, 15)[1]
+    later = lambda work: seconds(work, 15)[1]
     closed, given = jax.jit(lambda c: draw(scene, c)), jax.jit(draw)
-    ratio = seconds(lambda: closed(color)) / seconds(lambda: given(scene, color))
+    ratio = later(lambda: closed(color)) / later(lambda: given(scene, color))
     closed, given = jax.jit(jax.grad(lambda c: loss(c, scene))), jax.jit(jax.grad(loss))
-    return [ratio, seconds(lambda: closed(color)) / seconds(lambda: given(color, scene))]
+    return [ratio, later(lambda: closed(color)) / later(lambda: given(color, scene))]
 
 
 def readme() -> list[float]:

@@ -20,8 +20,11 @@ SHADED = ("color", "ka", "kd", "ks", "light_position")
 SOLID = ("color", "ka", "light_position", "center", "radius", "theta", "exposure")
 SHADOWED = (100.0, 900, 300)
 
-CASES = {
-    "one ray": (nine_spheres(SHADOWED), SHADED, {}, {}),
+CASES = {"one ray": (nine_spheres(SHADOWED), SHADED, {}, {})}
+UNCHECKED = eqx.tree_at(
+    lambda s: s.planes.checker_size, SCENES["planes"], replace_fn=jnp.zeros_like
+)
+SLOW = {
     "all of the shading, a channel left out here and there": (
         SCENES["two_coloured_lights"],
         (*SHADED, "exponent", "kgr", "light_color"),
@@ -34,11 +37,6 @@ CASES = {
         dict(samples=2),
         dict(loss="cauchy", weights=np.random.default_rng(1).uniform(0, 2, (20, 24, 3))),
     ),
-}
-UNCHECKED = eqx.tree_at(
-    lambda s: s.planes.checker_size, SCENES["planes"], replace_fn=jnp.zeros_like
-)
-SLOW = {
     "a plane without squares": (UNCHECKED, ("ks", "kd", "exponent", "light_position"), {}, {}),
     "bubbles and mirrors": (
         SCENES["glass"],
@@ -96,10 +94,7 @@ def check(case):
     np.testing.assert_array_equal(np.asarray(found.square)[lengths == 0], 0)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow if k else ()) for k, n in enumerate(CASES)],
-)
+@pytest.mark.parametrize("name", CASES)
 def test_dense_jacobian(name):
     check(CASES[name])
 
