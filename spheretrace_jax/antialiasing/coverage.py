@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..base.derivatives import stop_first_gradient
 from ..base.safe_math import clamp, larger, safe_sqrt, smaller
 from ..base.types import PixelArray
 from ..base.vec import Vec, cross, dot, unit
@@ -86,8 +87,9 @@ def disc_area(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: PixelArray) -> PixelA
     # the box in the plane across the ray: the choice of axes changes no area, so that the axes need
     # no derivatives, which would overflow where qx is tiny
     qx, qy = (v - axis * dot(v, axis) for v in (qx, qy))
-    first = jax.lax.stop_gradient(unit(qx))
-    second = cross(jax.lax.stop_gradient(axis), first)
+    x_side, across = stop_first_gradient((qx, axis))
+    first = unit(x_side)
+    second = cross(across, first)
     to_plane = lambda v: (dot(v, first), dot(v, second))
     (cx, cy), (xx, xy), (yx, yy) = barrier((to_plane(q), to_plane(qx), to_plane(qy)))
     area = xx * yy - xy * yx
@@ -118,7 +120,7 @@ def _excess_beyond_circle(
     """
     # the integrand vanishes at the crossings, so that moving these limits changes nothing: without
     # their derivatives no root is ever differentiated near 0
-    enter, leave = _circle_crossings(*jax.lax.stop_gradient((x, y, dx, dy)))
+    enter, leave = _circle_crossings(*stop_first_gradient((x, y, dx, dy)))
     nonzero = dx * dx + dy * dy > 0
 
     def integral(start: PixelArray, end: PixelArray) -> PixelArray:

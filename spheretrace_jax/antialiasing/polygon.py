@@ -44,7 +44,7 @@ class Polygon(eqx.Module):
 
     sides: tuple[HalfPlane, ...]
     area: PixelArray  #: 0..1
-    x: PixelArray  #: of the centroid, without derivatives; the box's centre if empty
+    x: PixelArray  #: of the centroid, without first derivatives; the box's centre if empty
     y: PixelArray
 
 
@@ -119,7 +119,7 @@ def clip_pixel(*half_planes: HalfPlane) -> Polygon:
         jnp.stack(jnp.broadcast_arrays(*(getattr(h, name) for h in half_planes))) for name in names
     )
     area, x, y = _area_and_centroid(*lines)
-    return Polygon(half_planes, area, *lax.stop_gradient((x, y)))
+    return Polygon(half_planes, area, x, y)
 
 
 @jax.custom_jvp
@@ -138,7 +138,7 @@ def _area_and_centroid_jvp(primals, tangents):
     length, x, y = _clip_lines(*primals)
     right, down, offset = tangents
     growth = (length[:-4] * (offset + right * x[:-4] + down * y[:-4])).sum(0)
-    zero = jnp.zeros_like(growth)
+    zero = jnp.zeros_like(growth)  # of the centroid; see `stop_first_gradient`
     return _integrate(primals[2], length, x, y), (growth, zero, zero)
 
 
@@ -173,7 +173,7 @@ def _clip_lines(right: Array, down: Array, offset: Array) -> tuple[Array, Array,
     unclipped = jnp.full_like(right, -2), jnp.full_like(right, 2)
     clip = partial(_clip_by, right, down, offset, number)
     start, end = loop(count, clip, unclipped, unroll=0)
-    length = jnp.maximum(end - start, 0)
+    length = larger(end - start, 0)
     middle = (start + end) / 2
     return length, -offset * right - middle * down, -offset * down + middle * right
 
@@ -203,8 +203,8 @@ def _clip_by(
     inside = oj - sign * offset - deviation * offset
     crossing = -inside / jnp.where(sine == 0, 1, sine)
     other = number != j
-    start = jnp.where(other & (sine > 0), jnp.maximum(start, crossing), start)
-    end = jnp.where(other & (sine < 0), jnp.minimum(end, crossing), end)
+    start = jnp.where(other & (sine > 0), larger(crossing, start), start)
+    end = jnp.where(other & (sine < 0), smaller(end, crossing), end)
     # of equal lines the first one keeps the edge
     equal = (inside == 0) & (cosine > 0) & (number > j)
     return start, jnp.where(other & (sine == 0) & ((inside < 0) | equal), start, end)

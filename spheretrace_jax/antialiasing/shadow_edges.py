@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ..base.derivatives import stop_first_gradient
 from ..base.safe_math import safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit, where
@@ -124,17 +125,16 @@ def _shadow_half_plane(
     context: TraceContext, shaded: _Shaded, number: Ids, light: Vec
 ) -> HalfPlane:
     """Returns the half-plane of the pixel in the shadow of one object."""
-    at, straight = barrier(_find_edge(*lax.stop_gradient((context, shaded)), number, light))
+    at, straight = barrier(_find_edge(*stop_first_gradient((context, shaded, light)), number))
     edge = _boundary(context, shaded, at, number, light)
     curved = disc_region(edge.q, edge.axis, edge.radius).edge
     return where(straight, half_plane_of(edge.f), curved)
 
 
 def _find_edge(
-    context: TraceContext, shaded: _Shaded, number: Ids, light: Vec
+    context: TraceContext, shaded: _Shaded, light: Vec, number: Ids
 ) -> tuple[tuple[PixelArray, PixelArray], Mask]:
     """Finds a place on the edge of a shadow, and whether to take the edge as straight there."""
-    light = lax.stop_gradient(light)
     here = _boundary(context, shaded, shaded.middle, number, light)
     small = here.radius < _SMALL * jnp.maximum(norm(here.q.dx), norm(here.q.dy))
     zero, near_rim = _find_zero(context, shaded, here.f)

@@ -15,11 +15,12 @@ from .progress import busy
 _MOST_PIXELS = 10
 
 
-def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
+def check(scene: Scene, free: Sequence[str] | None, second: bool, **picture: Any) -> bool:
     """Checks a scene and prints the results, check by check.
 
     **Arguments:** `free`: the free parameters of a fit, by default those of `fit`. `picture`: size,
-    highlight, bounces and samples, as for `render`.
+    highlight, bounces and samples, as for `render`. `second`: whether second derivatives are
+    checked too.
 
     **Returns:** True if derivatives agree, float32 shows the same picture as float64, and a fit
     would be well conditioned.
@@ -31,7 +32,7 @@ def check(scene: Scene, free: Sequence[str] | None, **picture: Any) -> bool:
     with busy("float32 against float64"):
         stability = check_stability(scene, needs=known, **picture)
     with busy("derivatives, forwards, backwards and by differences"):
-        gradients = check_gradients(scene, needs=known, every=False, **picture)
+        gradients = check_gradients(scene, needs=known, every=False, second=second, **picture)
     _print_gradients(gradients)
     _print_stability(stability)
     _print_condition(condition)
@@ -42,14 +43,8 @@ def _print_gradients(table: GradientTable) -> None:
     """Prints the agreement of the derivatives."""
     agreement = "agree" if table.ok else "do NOT agree"
     _print_lines(f"derivatives: forward mode, reverse mode and differences {agreement}")
-    rows = [
-        (
-            row.parameter, f"{row.forward:.1e}", f"{row.reverse:.1e}", f"{row.largest:.1e}",
-            str(row.left_out), "yes" if row.agree else "NO",
-        )
-        for row in table.rows
-    ]  # fmt: skip
-    print_table(("parameter", "jvp - fd", "vjp - jvp", "largest", "pixels left out", "agree"), rows)
+    rows = [(*table.cells(row), "yes" if row.agree else "NO") for row in table.rows]
+    print_table((*table.columns, "agree"), rows)
     _print_lines(*table.words, "")
 
 

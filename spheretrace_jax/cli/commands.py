@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from ..base.errors import InputError
 from ..fit.fit import DEFAULT_FREE
@@ -164,6 +164,9 @@ class CheckCommand(Sampling, Sized, Compiling):
     free: Annotated[
         str | None, arg(metavar="NAMES", help="what a fit would find, as for the command fit")
     ] = None
+    second: Annotated[
+        bool, FlagCreatePairsOff, arg(help="compare second derivatives too, which compile for long")
+    ] = False
 
     def run(self) -> int:
         """Checks the scene and prints the results."""
@@ -173,7 +176,7 @@ class CheckCommand(Sampling, Sized, Compiling):
         size = self.width_height
         scene = read_scene(self.scene, "float64")
         free = None if self.free is None else names_in(self.free)
-        return 0 if check(scene, free, **size, **self.settings) else 1
+        return 0 if check(scene, free, self.second, **size, **self.settings) else 1
 
 
 @dataclass(kw_only=True)

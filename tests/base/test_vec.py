@@ -36,3 +36,21 @@ def test_zero_vector_is_finite(function):
     value, derivative = jax.value_and_grad(function)(zero)
     assert value == 0
     assert np.isfinite(rows(derivative)).all()
+
+
+def moving_unit(t: jax.Array, size: float) -> jax.Array:
+    """Returns the unit vector along size (a + t b), and its derivative by t."""
+    a, b = (jax.tree.map(lambda x: x.astype(t.dtype) * size, v) for v in (A, B))
+    at = lambda t: unit(a + b * t)
+    u, slope = jax.jvp(at, (t,), (jnp.ones_like(t),))
+    return jnp.stack([u.x, u.y, u.z, slope.x, slope.y, slope.z])
+
+
+@pytest.mark.parametrize("size", [1.0, 1e10])  # of lights so far away |a|^4 overflows in float32
+def test_second_derivatives_of_unit_vectors(size):
+    h = 1e-4
+    difference = (moving_unit(jnp.asarray(h), size) - moving_unit(jnp.asarray(-h), size)) / (2 * h)
+    single = jax.jacfwd(moving_unit)(jnp.zeros((), np.float32), size)
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(jax.jacfwd(moving_unit)(jnp.zeros(()), size), difference, rtol=1e-6)
+    np.testing.assert_allclose(single, difference, rtol=1e-5)

@@ -10,6 +10,7 @@ import pytest
 from helpers.scenes import SCENES, nine_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.antialiasing import coverage
 
 SIZE = dict(width=20, height=20, bounces=2)
 
@@ -32,13 +33,15 @@ def test_forward_reverse_and_differences_agree_by_every_parameter(name, highligh
     for row in table.rows:
         assert row.forward < 1e-6, row
         assert row.reverse < 1e-14, row
+        assert row.second < 1e-6, row
         assert row.left_out <= 0.05 * row.pixels, row
     moving = [row.parameter for row in table.rows if row.largest > 0]
     assert {"spheres.center", "spheres.radius", "spheres.color", "camera.theta"} <= set(moving)
 
 
 def test_what_the_table_leaves_out_lies_on_edges():
-    table = st.check_gradients(nine_spheres(), width=48, height=48, bounces=0)
+    table = st.check_gradients(nine_spheres(), width=48, height=48, bounces=0, second=False)
+    assert "second" not in str(table)
     rows = {row.parameter: row for row in table.rows}
     # colours move no edges, so nothing is left out; moving centres and lights does
     for name in ("color", "ka", "kd", "ks"):
@@ -55,6 +58,20 @@ def test_a_wrong_derivative_is_caught():
     assert rows["spheres.kgr"].forward > 0.1
     assert rows["spheres.color"].forward < 1e-5
     assert table.worst == max(max(r.forward, r.reverse) for r in table.rows)
+
+
+@pytest.mark.slow
+def test_a_wrong_second_derivative_is_caught(monkeypatch):
+    scene = SCENES["diffuse"].with_antialias(1)
+    check = lambda: st.check_gradients(scene, needs=st.needs(scene), width=12, height=12, bounces=0)
+    rows = {row.parameter: row for row in check().rows}
+    assert 0 < rows["spheres.radius"].second < 1e-4
+    assert "second - fd" in str(check())
+    monkeypatch.setattr(coverage, "stop_first_gradient", jax.lax.stop_gradient)
+    jax.clear_caches()
+    rows = {row.parameter: row for row in check().rows}
+    assert rows["spheres.radius"].second > 0.1 and not rows["spheres.radius"].agree
+    assert rows["spheres.radius"].forward < 1e-4
 
 
 def programs(jaxpr: jax.extend.core.Jaxpr) -> Iterator[jax.extend.core.Jaxpr]:

@@ -1,4 +1,4 @@
-"""Gradient checks: forward mode, reverse mode and central differences, one against the other."""
+"""Gradient checks: forward and reverse mode, second derivatives and central differences."""
 
 import dataclasses
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ...base.types import Highlight, Picture
 from ...rendering.render import draw
@@ -27,6 +27,7 @@ _FAST_COMPILATION = {"xla_backend_optimization_level": 0}
 
 # Tolerances, relative, of forward mode against differences and of reverse against forward mode. The
 # first allows for the differences' error at kinks too weak to be found, the second for rounding.
+# Second derivatives have that of forward mode.
 _FORWARD, _REVERSE = 1e-3, 1e-10
 
 # Largest disagreement, relative, of differences ahead and behind, or of one and two steps, in
@@ -46,11 +47,20 @@ class GradientRow:
     largest: float  #: the largest derivative in the picture
     left_out: int  #: pixels that do not count, with an edge or a kink within the step
     pixels: int
+    #: jvp of jvp against central differences of the jvp, as `forward`; None if not asked for
+    second: float | None = None
+    #: pixels that do not count for `second`: the first derivative has a jump or a kink
+    second_left_out: int = 0
 
     @property
     def agree(self) -> bool:
-        """Tells whether the three derivatives agree, within the error of the differences."""
-        return self.forward <= _FORWARD and self.reverse <= _REVERSE
+        """Tells whether all derivatives agree, within the error of the differences."""
+        return max(self.forward, self.second or 0.0) <= _FORWARD and self.reverse <= _REVERSE
+
+    @property
+    def worst(self) -> float:
+        """Returns the largest relative disagreement."""
+        return max(self.forward, self.reverse, self.second or 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +89,7 @@ class GradientTable:
             + "; ".join(" ".join([field, *arrays]).strip() for field, arrays in fields.items())
             for reason, fields in reasons.items()
         ]
-        if any(row.left_out for row in self.rows):
+        if any(row.left_out or row.second_left_out for row in self.rows):
             words.append(
                 "pixels do not count where an edge, the rim of a highlight or another kink "
                 "passes within the step of the differences"
@@ -94,14 +104,27 @@ class GradientTable:
     @property
     def worst(self) -> float:
         """Returns the largest relative disagreement."""
-        return max((max(row.forward, row.reverse) for row in self.rows), default=0.0)
+        return max((row.worst for row in self.rows), default=0.0)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Returns the titles of the table's columns."""
+        second = ("second - fd",) if any(r.second is not None for r in self.rows) else ()
+        return ("parameter", "jvp - fd", "vjp - jvp", *second, "largest", "left out")
+
+    def cells(self, row: GradientRow) -> tuple[str, ...]:
+        """Returns one row of the table as texts, one for each of `columns`."""
+        left_out = f"{row.left_out} of {row.pixels}"
+        numbers = [row.forward, row.reverse, row.largest]
+        if row.second is not None:
+            numbers.insert(2, row.second)
+            left_out = f"{row.left_out}, {row.second_left_out} of {row.pixels}"
+        return (row.parameter, *(f"{number:.1e}" for number in numbers), left_out)
 
     def __str__(self) -> str:
-        lines = [f"{'parameter':24} {'jvp - fd':>9} {'vjp - jvp':>9} {'largest':>9} left out"]
-        for r in self.rows:
-            numbers = f"{r.forward:9.1e} {r.reverse:9.1e} {r.largest:9.1e}"
-            lines.append(f"{r.parameter:24} {numbers} {r.left_out} of {r.pixels}")
-        return "\n".join([*lines, *self.words])
+        rows = [self.columns, *map(self.cells, self.rows)]
+        line = lambda cells: " ".join([f"{cells[0]:24}", *(f"{c:>11}" for c in cells[1:])])
+        return "\n".join([*map(line, rows), *self.words])
 
 
 def check_gradients(
@@ -114,6 +137,7 @@ def check_gradients(
     samples: int = 1,
     needs: Needs | None = None,
     every: bool = True,
+    second: bool = True,
     seed: int = 0,
 ) -> GradientTable:
     """Compares the derivatives of a scene's picture by every array of the scene, in float64.
@@ -122,11 +146,13 @@ def check_gradients(
     every pixel that counts. Reverse mode must equal forward mode on a random weight picture, in
     all pixels. A pixel does not count where the picture is not smooth within the step of the
     differences: a silhouette, a shadow edge or the rim of a highlight passes. There differences
-    ahead and behind, or of one and two steps, disagree.
+    ahead and behind, or of one and two steps, disagree. Second derivatives along the direction,
+    forward over forward, must equal central differences of the first ones in the same way.
 
     **Arguments:** as for `render`; by default all arrays are checked, also ks, kgr and kt of 0.
     `every`: False leaves out coefficients that are 0 in the whole scene, as absent mirrors take
-    long to compile. `seed`: of the random directions and weights.
+    long to compile. `second`: False leaves out second derivatives, which with covered edges take
+    about as long to compile as all else. `seed`: of the random directions and weights.
 
     **Returns:** a table with one row per array, which also counts the pixels left out.
 
@@ -139,16 +165,18 @@ def check_gradients(
             scene, width, height, highlight=highlight, bounces=bounces, samples=samples,
             needs=needs, free=("ks", "kgr", "kt", "background") if every else present(scene),
         )  # fmt: skip
-        rows = _rows(scene, partial(draw, settings=settings), set(idle), seed)
+        rows = _rows(scene, partial(draw, settings=settings), set(idle), second, seed)
     return GradientTable(rows, bool(scene.antialias), idle)
 
 
 def _rows(
-    scene: Scene, picture: Callable[[Scene], Picture], idle: set[str], seed: int
+    scene: Scene, picture: Callable[[Scene], Picture], idle: set[str], second: bool, seed: int
 ) -> tuple[GradientRow, ...]:
     """Compares the derivatives of a picture by each array of the scene that is not idle."""
     compiled = partial(jax.jit, compiler_options=_FAST_COMPILATION)
-    forward = compiled(lambda s, ds: jax.jvp(picture, (s,), (ds,)))
+    along = lambda s, ds: jax.jvp(picture, (s,), (ds,))
+    twice = lambda s, ds: jax.jvp(lambda s: along(s, ds)[1], (s,), (ds,))[1]
+    forward, bent = compiled(along), compiled(twice)
     reverse = compiled(lambda s, w: jax.vjp(picture, s)[1](w)[0])
     rng = np.random.default_rng(seed)
     still = jax.tree.map(jnp.zeros_like, scene)
@@ -163,11 +191,15 @@ def _rows(
         size = float(jnp.max(jnp.abs(array))) or 1.0
         direction = jnp.asarray(rng.standard_normal(array.shape) * size)
         tangent = jax.tree.unflatten(structure, [*zeros[:k], direction, *zeros[k + 1 :]])
-        moved = lambda h, along=tangent: jax.tree.map(lambda a, b: a + h * b, scene, along)
-        pictures = {h: np.asarray(picture(moved(h))) for h in _STEPS}
-        derivative = np.asarray(forward(scene, tangent)[1])
-        pulled = float(jnp.vdot(gradient[name], direction))
-        rows.append(_row(name, {0.0: np.asarray(unmoved), **pictures}, derivative, weights, pulled))
+        moved = lambda h, by=tangent: jax.tree.map(lambda a, b: a + h * b, scene, by)
+        both = {h: tuple(map(np.asarray, forward(moved(h), tangent))) for h in (0.0, *_STEPS)}
+        pictures, derivatives = ({h: pair[k] for h, pair in both.items()} for k in range(2))
+        row = _row(name, pictures, derivatives[0.0], weights, jnp.vdot(gradient[name], direction))
+        if second:
+            error, _, smooth = _against_differences(derivatives, np.asarray(bent(scene, tangent)))
+            left_out = int(np.count_nonzero(~smooth))
+            row = dataclasses.replace(row, second=error, second_left_out=left_out)
+        rows.append(row)
     return tuple(rows)
 
 
@@ -207,13 +239,36 @@ def _row(
     at: dict[float, np.ndarray],
     derivative: np.ndarray,
     weights: np.ndarray,
-    pulled: float,
+    pulled: Float[Array, ""],
 ) -> GradientRow:
     """Compares the derivatives along one direction.
 
     **Arguments:** `name`: the array's. `at`: the pictures at 0, 1 and 2 steps ahead and behind.
     `derivative`: the picture's, by forward mode. `weights`: the random weight picture. `pulled`:
     the derivative of the weighted sum, by reverse mode.
+    """
+    error, largest, smooth = _against_differences(at, derivative)
+    pushed = float(np.sum(weights * derivative))
+    scale = float(np.sum(np.abs(weights * derivative)))
+    return GradientRow(
+        parameter=name,
+        forward=error,
+        reverse=abs(pushed - float(pulled)) / (scale if scale > 0 else 1),
+        largest=largest,
+        left_out=int(np.count_nonzero(~smooth)),
+        pixels=smooth.size,
+    )
+
+
+def _against_differences(
+    at: dict[float, np.ndarray], derivative: np.ndarray
+) -> tuple[float, float, np.ndarray]:
+    """Compares a derivative with central differences of a picture.
+
+    **Arguments:** as for `_row`.
+
+    **Returns:** the largest error, over the largest derivative if the differences tell that from 0;
+    the largest derivative; and the pixels that count, in which the picture is smooth.
     """
     h = _STEP
     near, far = (at[h] - at[-h]) / (2 * h), (at[2 * h] - at[-2 * h]) / (4 * h)
@@ -226,13 +281,4 @@ def _row(
     counted = np.where(smooth[..., None], derivative, 0)
     largest = float(np.abs(counted).max())
     error = float(np.abs(counted - np.where(smooth[..., None], difference, 0)).max())
-    pushed = float(np.sum(weights * derivative))
-    scale = float(np.sum(np.abs(weights * derivative)))
-    return GradientRow(
-        parameter=name,
-        forward=error / largest if largest > rounding else error,
-        reverse=abs(pushed - pulled) / scale if scale > 0 else abs(pulled),
-        largest=largest,
-        left_out=int(np.count_nonzero(~smooth)),
-        pixels=smooth.size,
-    )
+    return error / largest if largest > rounding else error, largest, smooth

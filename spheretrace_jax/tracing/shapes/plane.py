@@ -65,7 +65,7 @@ class Plane(eqx.Module):
             side = jnp.where(away < 0, -1, 1).astype(slope.dtype)
             low = larger(slope * side - extent, 0)
             slope = side * (low + larger(slope * side + extent, _LEAST_SLOPE * extent)) / 2
-        crosses = (slope != 0) & is_plane
+        crosses = _crosses(slope) & is_plane
         t = away / jnp.where(crosses, slope, 1)
         point = ray.origin + ray.direction * jnp.where(crosses, t, 0)
         if extent is not None:
@@ -166,8 +166,16 @@ def ray_plane(origin: Vec, direction: Vec, point: Vec, normal: Vec) -> PixelArra
     """Intersects rays with a plane: returns `t`, negative behind, 0 where rays run along it.
 
     **Arguments:** `origin`, `direction`: rays, arrays of shape `(*pixels,)`, `direction` of unit
-    length. `point`, `normal`: any point of the plane and its normal, of any length but 0.
+    length. `point`, `normal`: any point of the plane and its normal, of unit length.
     """
     slope = dot(direction, normal)
-    crosses = slope != 0
+    crosses = _crosses(slope)
     return jnp.where(crosses, dot(point - origin, normal) / jnp.where(crosses, slope, 1), 0)
+
+
+def _crosses(slope: PixelArray) -> Mask:
+    """Tests whether rays cross a plane; D.N of the others is 0 within its rounding error.
+
+    An eye in the plane would else see it at 0/0, with derivatives of 1e13 along the horizon.
+    """
+    return jnp.abs(slope) > 4 * float(jnp.finfo(slope.dtype).eps)

@@ -6,9 +6,9 @@ the tables, or one number per pixel once gathered.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
+from ...base.derivatives import stop_first_gradient
 from ...base.safe_math import larger, safe_sqrt, smaller
 from ...base.types import Mask, PixelArray, Scalar
 from ...base.vec import Vec, cross, dot, norm, unit
@@ -140,7 +140,7 @@ class Sphere(eqx.Module):
         slope = -dot(ray.direction, to_light) / radius
         h = mean_root(low, high) - cosine / jnp.where(slope == 0, 1, slope)
         # the integrand vanishes at N.L = 0, so that moving this end changes nothing
-        zero = jnp.clip(*jax.lax.stop_gradient((h, low, high)))
+        zero = jnp.clip(*stop_first_gradient((h, low, high)))
         start, end = jnp.where(slope > 0, zero, low), jnp.where(slope > 0, high, zero)
         interval = high * high - low * low
         mixed = (low < zero) & (zero < high) & (slope != 0)
