@@ -3,10 +3,15 @@
 from .base.errors import (
     InputError as InputError,
     PictureError as PictureError,
+    PictureWarning as PictureWarning,
     SceneError as SceneError,
     SceneWarning as SceneWarning,
 )
-from .files.images import read_image as read_image, write_image as write_image
+from .files.images import (
+    read_image as read_image,
+    read_mask as read_mask,
+    write_image as write_image,
+)
 from .files.povray import write_povray as write_povray
 from .files.scene_text import load_scene as load_scene, save_scene as save_scene
 from .fit import Fit as Fit, fit as fit

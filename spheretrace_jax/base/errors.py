@@ -17,6 +17,10 @@ class SceneWarning(UserWarning):
     """A usable scene that breaks a rule or cannot give the result asked of the scene."""
 
 
+class PictureWarning(UserWarning):
+    """A usable picture file that may mean something else than what was read or written."""
+
+
 def printable(text: str) -> str:
     """Escapes text quoted from a file: one line, without control over the terminal."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

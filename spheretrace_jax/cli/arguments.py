@@ -56,7 +56,7 @@ class Sized(Command):
     @property
     def width_height(self) -> dict[str, int]:
         """Returns the size as arguments of `render`. **Raises:** `InputError`."""
-        from ..files.images import MOST_PIXELS
+        from ..files.image_reader import MOST_PIXELS
 
         match = re.fullmatch(r"([1-9]\d{0,8})x([1-9]\d{0,8})", self.size, re.ASCII)
         if not match:

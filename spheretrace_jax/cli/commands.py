@@ -33,8 +33,8 @@ from .demo import DemoCommand
 class RenderCommand(Sampling, Sized, Compiling):
     """Draw a scene to a picture file.
 
-    The ending of IMAGE chooses the format: exr and hdr hold linear numbers, unclamped; png, ppm,
-    tiff and jpg hold sRGB, clipped to 0..1.
+    The ending of IMAGE chooses the format: exr, hdr and tiff of 32 bits hold linear numbers,
+    unclamped; png, ppm, jpg and other tiff hold sRGB, clipped to 0..1.
     """
 
     scene: SceneFile

@@ -1,29 +1,30 @@
 """Pictures read and written through OpenImageIO, on the host.
 
-Inside the program a picture is linear Rec. 709 RGB. OpenImageIO's built-in colour configuration
-converts files: EXR and HDR hold linear numbers, other formats sRGB-coded numbers, unless the caller
-says otherwise.
+Inside the program a picture is linear Rec. 709 RGB. What the numbers of a file mean is what the
+file says, unless the caller says otherwise; files that are written say it.
 """
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
 from pathlib import Path
-from typing import Any, Literal, get_args
-from unicodedata import category
+from typing import Literal, get_args
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import ArrayLike, Bool, Float
 
-from ..base.errors import InputError, PictureError, printable
+from ..base.errors import InputError, PictureError, PictureWarning
 from .atomic import check_target, replacing, reserve
+from .color_encoding import LINEAR, SRGB
+from .color_spaces import code_srgb
+from .icc_profile import linear_profile
+from .image_reader import check_name, read_file, reason
 from .picture_formats import PICTURE_FORMATS, PictureFormat
 
 Colorspace = Literal["auto", "linear", "srgb"]
 
+# OpenImageIO's names of what is written.
 _LINEAR, _SRGB = "lin_rec709_scene", "srgb_rec709_scene"
-_CONFIG = "ocio://default"  # the built-in configuration, whatever the user's $OCIO names
 
 # Room for a file's header, in bytes: more than any header takes.
 _HEADER_BYTES = 1 << 16
@@ -32,111 +33,104 @@ _HEADER_BYTES = 1 << 16
 # program on a text of 64 kB, and TIFF's library cuts the text off.
 _MOST_TEXT = 60_000
 
-#: Limit of a picture, in pixels. Larger pictures are refused before any memory is taken, as a
-#: header may promise any size.
-MOST_PIXELS = 1 << 28
-
-# Limits of the pixels per byte of a file, by format. Black pictures have fewer: deflate compresses
-# one bit a pixel by 1032 to 1, and JPEG's blocks of 64 pixels take a bit. For a truncated JPEG,
-# libjpeg makes up all pixels that the header promises.
-_MOST_PIXELS_PER_BYTE, _OF_FORMAT = 10_000, {"jpeg": 1000}
-
-
-def _is_linear(path: Path, colorspace: Colorspace) -> bool:
-    """Tells whether a file holds linear numbers. **Raises:** `InputError` for unknown spaces."""
-    if colorspace not in get_args(Colorspace):
-        spaces = ", ".join(get_args(Colorspace))
-        raise InputError(f"colorspace must be one of {spaces}, got {colorspace!r}")
-    known = PICTURE_FORMATS.get(path.suffix.lower())
-    return colorspace == "linear" or (colorspace == "auto" and known is not None and known.linear)
+# The brightness up to which a pixel of a mask is black, from which it is white, and from which it
+# counts.
+_BLACK, _WHITE, _COUNTS = 0.1, 0.9, 0.5
 
 
 def read_image(
-    path: str | os.PathLike, colorspace: Colorspace = "auto"
+    path: str | os.PathLike, colorspace: Colorspace = "auto", *, layer: str | None = None
 ) -> Float[np.ndarray, "height width 3"]:
-    """Reads a picture as linear RGB in float32, row 0 at the top.
+    """Reads a picture as linear Rec. 709 RGB in float32, upright, row 0 at the top.
 
-    OpenImageIO reads many formats; only GIF is refused. A picture of one channel is grey. Colours
-    are multiplied by alpha, which composes the picture over black. Numbers that are nan or inf in a
-    floating file stay nan or inf.
+    OpenImageIO reads many formats; only GIF is refused. The content decides, not the ending. A
+    picture of one channel is grey. Numbers that are nan or inf in a floating file stay nan or inf.
 
-    **Arguments:** `colorspace`: how the file's numbers are coded: `"linear"`, `"srgb"`, or
-    `"auto"` for linear in EXR and HDR files and sRGB in all others.
+    - **Colours** are converted by what the file says: an ICC profile of curves and a matrix, such
+      as Display P3; `cICP`, `gAMA` and `cHRM` in PNG; primaries of EXR and Radiance files, and
+      the exposure of these. They may then lie outside 0..1. If the file says nothing, integers
+      are sRGB and floating numbers are linear.
+    - **Alpha**: colours are multiplied by alpha, which composes the picture over black.
+    - **Window**: of an EXR file the display window is read, black where it holds no pixels.
+    - **Orientation** (Exif, TIFF, EXR) is applied.
 
-    **Raises:** `PictureError` if the file is missing or cannot be read as a picture.
+    **Arguments:**
+
+    - `colorspace`: how the file's numbers are coded, whatever the file says: `"linear"` or
+      `"srgb"`, both of Rec. 709; `"auto"` for what the file says.
+    - `layer`: which layer, view, part, page or frame of a file with several; parts without a name
+      are called `"1"`, `"2"` and so on.
+
+    **Warns:** `PictureWarning` if another layer could be meant, if pixels are transparent or not
+    square, and if the file does not say what its colours are.
+
+    **Raises:** `PictureError` if the file is missing or cannot be read as a picture; for colours
+    that are not known (CMYK, PQ, profiles of tables), deep pictures, and layers that are missing.
     """
-    import OpenImageIO as oiio
-
     path = Path(path)
-    linear = _is_linear(path, colorspace)
-    _check_name(path)
-    if os.path.isdir(path):  # unlike Path's, bears names of any length
-        raise PictureError(f"{path}: expected a picture, this is a folder")
-    if not os.path.isfile(path):
-        raise PictureError(f"{path}: there is no such picture")
-    try:
-        with open(path, "rb") as file:
-            start = file.read(4)
-    except OSError as error:
-        raise PictureError(f"{path}: cannot be read as a picture: {error.strerror}") from None
-    if start == b"GIF8":  # OpenImageIO allocates the size in the header before it can be checked
-        raise PictureError(f"{path}: cannot be read as a picture: GIF files are not read")
-    hint = oiio.ImageSpec()
-    hint.attribute("oiio:UnassociatedAlpha", 1)  # decode colours before multiplying by alpha
-    with _silence():
-        source = oiio.ImageInput.open(str(path), hint)
-    if source is None:
-        raise PictureError(f"{path}: cannot be read as a picture: {_reason(oiio)}")
-    try:
-        spec = source.spec()
-        _check_size(path, source)
-        with _silence():
-            pixels = source.read_image(oiio.FLOAT)
-        if pixels is None or source.has_error:  # a truncated JPEG gives both
-            raise PictureError(f"{path}: cannot be read as a picture: {_reason(source)}")
-    except MemoryError:
-        raise PictureError(f"{path}: there is not enough memory for this picture") from None
-    finally:
-        source.close()
-    pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, spec.nchannels)
-    premultiplied = spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
-    alpha = pixels[..., spec.alpha_channel, None] if spec.alpha_channel >= 0 else None
-    if spec.nchannels < 3:
-        color = np.repeat(pixels[..., :1], 3, axis=-1)
-    else:
-        color = np.ascontiguousarray(pixels[..., :3])
-    if not linear:
-        color = _convert(color, _SRGB, _LINEAR)
-    return color if alpha is None or premultiplied else color * alpha
-
-
-def _check_name(path: Path) -> None:
-    """**Raises:** `PictureError` for names that are no UTF-8, as OpenImageIO takes no others."""
-    if any(category(c) == "Cs" for c in str(path)):
-        raise PictureError(f"{printable(str(path))}: the name of a picture must be UTF-8")
-
-
-def _check_size(path: Path, source: Any) -> None:
-    """Checks the size that a file's header promises, before any memory is taken.
-
-    **Raises:** `PictureError` for sizes beyond the limits, or too large for the file's length.
-    """
-    spec = source.spec()
-    pixels, channels = spec.width * spec.height, spec.nchannels
-    per_byte = _OF_FORMAT.get(source.format_name(), _MOST_PIXELS_PER_BYTE)
-    most = min(MOST_PIXELS, per_byte * os.path.getsize(path))
-    if (
-        min(spec.width, spec.height, channels) < 1
-        or pixels > most
-        or pixels * channels > 4 * MOST_PIXELS
-        or spec.depth > 1
-    ):
-        size = f"{spec.width} x {spec.height} x {spec.depth}"
-        of = f" of {channels} numbers" if channels > 4 else ""
-        reason = "" if most == MOST_PIXELS else ", as the file is short"
-        raise PictureError(
-            f"{path}: expected a picture of at most {most} pixels{reason}, got {size}{of}"
+    _check_colorspace(colorspace)
+    encoding = {"auto": None, "linear": LINEAR, "srgb": SRGB}[colorspace]
+    image = read_file(path, encoding, layer)
+    remarks = image.remarks
+    transparent = 0 if image.alpha is None else int(np.count_nonzero(image.alpha < 1))
+    if image.alpha is not None and transparent:
+        remarks.append(
+            f"{path}: {transparent} of {image.alpha.size} pixels are transparent, and read as over "
+            "black; a fit can leave them out (read_mask, --mask alpha)"
         )
+    _warn(remarks)
+    return image.color
+
+
+def read_mask(
+    path: str | os.PathLike, *, alpha: bool = False, layer: str | None = None
+) -> Bool[np.ndarray, "height width"]:
+    """Reads which pixels count in a fit: those of at least half the brightness of white.
+
+    The brightness is that of the file's numbers as they are coded, of the brightest channel.
+    Transparent pixels are black.
+
+    **Arguments:** `alpha`: takes the picture's alpha in place of its brightness. `layer`: as for
+    `read_image`.
+
+    **Warns:** `PictureWarning` as `read_image`, and if more than half of the pixels are grey.
+
+    **Raises:** `PictureError` as `read_image`; if there is no alpha; and for pictures that are no
+    masks, as nowhere they are black or white, or in which no pixel counts.
+    """
+    path = Path(path)
+    image = read_file(path, LINEAR, layer)
+    if alpha and image.alpha is None:
+        raise PictureError(f"{path}: has no alpha channel that could be the mask")
+    values = image.alpha if alpha and image.alpha is not None else image.color.max(axis=-1)
+    grey = (values > _BLACK) & (values < _WHITE)
+    if grey.all():
+        raise PictureError(
+            f"{path}: expected a mask, white where the picture counts and black elsewhere, got "
+            f"only greys from {values.min():.2g} to {values.max():.2g}"
+        )
+    counts = values >= _COUNTS
+    if not counts.any():
+        raise PictureError(f"{path}: no pixel of the mask counts: expected some as bright as half")
+    if 2 * np.count_nonzero(grey) > grey.size:
+        image.remarks.append(
+            f"{path}: expected a mask of black and white, {grey.mean():.0%} of its pixels are grey"
+        )
+    _warn(image.remarks)
+    return counts
+
+
+def _warn(remarks: list[str]) -> None:
+    """Warns the caller of a public function of this module."""
+    for remark in remarks:
+        warnings.warn(remark, PictureWarning, stacklevel=3)
+
+
+def _check_colorspace(colorspace: Colorspace) -> None:
+    """**Raises:** `InputError` for unknown spaces."""
+    if colorspace not in get_args(Colorspace):
+        spaces = ", ".join(get_args(Colorspace))
+        raise InputError(f"colorspace must be one of {spaces}, got {colorspace!r}")
 
 
 def write_image(
@@ -153,11 +147,15 @@ def write_image(
 
     - `image`: linear RGB of shape `(height, width, 3)`, row 0 at the top. Integer formats clip it
       to 0..1.
-    - `colorspace`: how to code the file's numbers, as for `read_image`.
+    - `colorspace`: how to code the file's numbers: `"linear"`, `"srgb"`, or `"auto"` for linear
+      floating numbers and sRGB in integers. The file says which, so that `read_image` knows.
     - `bits`: 8 (default) or 16 for PNG, PPM and TIFF; TIFF and EXR also 32, floating, which is the
       default for EXR.
     - `scene`: the text of a scene file for the picture's metadata, which also hold the program's
       version and the colour space. PPM and HDR hold no text, TIFF and JPEG none above 60 kB.
+
+    **Warns:** `PictureWarning` for a colour space that the format cannot say: linear in PPM, sRGB
+    in HDR.
 
     **Raises:** `PictureError` for formats, bits, shapes and dtypes that cannot be written;
     `OSError` if the file cannot be written.
@@ -175,12 +173,17 @@ def write_image(
     if not jnp.issubdtype(pixels.dtype, jnp.floating):
         raise PictureError(f"{path}: expected linear floating numbers, got {pixels.dtype}")
     pixels = pixels.astype(np.float32)
-    linear = _is_linear(path, colorspace)
+    _check_colorspace(colorspace)
+    usual = "linear" if number_type in ("float", "half") else "srgb"
+    linear = (usual if colorspace == "auto" else colorspace) == "linear"
     if not linear:
-        pixels = _convert(pixels, _LINEAR, _SRGB)
+        pixels = to_srgb(pixels)
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, number_type)
     spec.attribute("oiio:ColorSpace", _LINEAR if linear else _SRGB)
     spec.attribute("Software", f"spheretrace_jax {__version__}")
+    if linear and format_.profile:
+        profile = np.frombuffer(linear_profile(), np.uint8)
+        spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{profile.size}]"), profile)
     for name, value in format_.attributes.items():
         spec.attribute(name, value)
     text = "" if scene is None else scene
@@ -191,9 +194,16 @@ def write_image(
         reserve(temporary, 2 * spec.image_bytes() + len(text.encode()) + _HEADER_BYTES)
         sink = oiio.ImageOutput.create(str(temporary))
         if sink is None or not sink.open(str(temporary), spec):
-            raise PictureError(f"{path}: cannot be written: {_reason(oiio)}")
+            raise PictureError(f"{path}: cannot be written: {reason(oiio)}")
         if not (sink.write_image(np.ascontiguousarray(pixels)) and sink.close()):
-            raise PictureError(f"{path}: cannot be written: {_reason(sink)}")
+            raise PictureError(f"{path}: cannot be written: {reason(sink)}")
+    if not format_.tagged and colorspace not in ("auto", usual):
+        warnings.warn(
+            f"{path}: {path.suffix} files cannot say that their numbers are {colorspace}: read it "
+            f"with colorspace={colorspace!r}",
+            PictureWarning,
+            stacklevel=2,
+        )
 
 
 def check_writable(path: str | os.PathLike, bits: int | None = None) -> tuple[PictureFormat, str]:
@@ -216,53 +226,10 @@ def check_writable(path: str | os.PathLike, bits: int | None = None) -> tuple[Pi
             f"{path}: {ending} files have {' or '.join(map(str, format_.bits))} bits, got {bits}"
         )
     check_target(path)
-    _check_name(path.resolve())
+    check_name(path.resolve())
     return format_, format_.number_type(bits)
 
 
 def to_srgb(image: ArrayLike) -> Float[np.ndarray, "height width 3"]:
     """Converts linear RGB to sRGB numbers, for display."""
-    return _convert(np.asarray(image, np.float32), _LINEAR, _SRGB)
-
-
-def _convert(pixels: np.ndarray, source: str, target: str) -> np.ndarray:
-    """Converts colours from one of OpenImageIO's colour spaces to another."""
-    import OpenImageIO as oiio
-
-    # OpenColorIO's fast powers have errors of 2.5e-5, more than a step of 16 bits
-    os.environ.setdefault("OCIO_OPTIMIZATION_FLAGS", "0")
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "float")
-    buffer = oiio.ImageBuf(spec)
-    buffer.set_pixels(oiio.ROI(), np.ascontiguousarray(pixels))
-    converted = oiio.ImageBufAlgo.colorconvert(buffer, source, target, colorconfig=_CONFIG)
-    if converted.has_error:
-        raise PictureError(f"cannot convert colours: {_reason(converted)}")
-    return np.asarray(converted.get_pixels(oiio.FLOAT), np.float32)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Silences libpng's message on the terminal, which the raised error repeats."""
-    try:
-        terminal = os.dup(2)
-    except OSError:  # there is none
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(terminal, 2)
-        os.close(terminal)
-        os.close(nowhere)
-
-
-def _reason(failed: Any) -> str:
-    """Returns the first line of the error message of OpenImageIO or one of its objects."""
-    try:
-        message = failed.geterror()
-    except UnicodeDecodeError as error:  # it quotes bytes of a broken file
-        message = error.object.decode(errors="replace")
-    lines = message.strip().splitlines() or ["unknown format"]
-    return printable(lines[0])
+    return code_srgb(np.asarray(image, np.float32)).astype(np.float32)

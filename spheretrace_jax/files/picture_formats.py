@@ -9,7 +9,8 @@ class PictureFormat:
     """A format of picture files that OpenImageIO writes."""
 
     bits: tuple[int, ...]  #: possible bits per number, the default first; 32 are floating
-    linear: bool = False  #: the file holds linear numbers, not sRGB ones
+    tagged: bool = True  #: the file can say how its numbers are coded
+    profile: bool = False  #: it says so of linear numbers by an ICC profile
     half: bool = False  #: 16 bits are floating
     long_text: bool = False  #: metadata may hold a text of any length
     attributes: Mapping[str, str | int] = field(default_factory=dict)  #: OpenImageIO's, for writing
@@ -21,18 +22,18 @@ class PictureFormat:
         return "half" if self.half else f"uint{bits}"
 
 
-_TIFF = PictureFormat((8, 16, 32))
-_JPEG = PictureFormat((8,), attributes={"compression": "jpeg:95", "jpeg:subsampling": "4:4:4"})
+_TIFF = PictureFormat((8, 16, 32), profile=True)
+_JPEG = PictureFormat(
+    (8,), profile=True, attributes={"compression": "jpeg:95", "jpeg:subsampling": "4:4:4"}
+)
 
 #: The formats that are written, by ending.
 PICTURE_FORMATS = {
-    ".exr": PictureFormat(
-        (32, 16), linear=True, half=True, long_text=True, attributes={"compression": "zip"}
-    ),
-    ".hdr": PictureFormat((32,), linear=True),
+    ".exr": PictureFormat((32, 16), half=True, long_text=True, attributes={"compression": "zip"}),
+    ".hdr": PictureFormat((32,), tagged=False),
     ".png": PictureFormat((8, 16), long_text=True),
     # OpenImageIO 3.2 would write integer PPM upside down without this attribute
-    ".ppm": PictureFormat((8, 16), attributes={"pnm:pfmflip": 0}),
+    ".ppm": PictureFormat((8, 16), tagged=False, attributes={"pnm:pfmflip": 0}),
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".jpg": _JPEG,

@@ -5,15 +5,15 @@ import os
 import struct
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from helpers.picture_files import decode, png, write_raw
 
 import spheretrace_jax as st
-from spheretrace_jax.files import images
+from spheretrace_jax.files import image_reader, images
 from spheretrace_jax.files.atomic import replacing, write_text
 from spheretrace_jax.files.images import check_writable, to_srgb
 
@@ -21,27 +21,9 @@ ENDINGS = (".exr", ".hdr", ".png", ".ppm", ".tif", ".tiff", ".jpg", ".jpeg")
 STEEPEST = 2.275  # slope of sRGB's curve, from coded to linear, at 1
 
 
-def decode(coded: np.ndarray) -> np.ndarray:
-    """Decodes sRGB to linear numbers, by IEC 61966-2-1."""
-    coded = np.asarray(coded, np.float64)
-    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-
-
 def noise(height: int = 5, width: int = 7, most: float = 1.0) -> np.ndarray:
     rng = np.random.default_rng(height * width)
     return rng.uniform(0, most, (height, width, 3)).astype(np.float32)
-
-
-def write_raw(file: Path, numbers: np.ndarray, alpha: int = -1, **attributes) -> None:
-    """Writes a file with exactly these numbers, by OpenImageIO alone."""
-    height, width, channels = numbers.shape
-    kind = str(numbers.dtype).removesuffix("32")  # float32 is called float there
-    spec = oiio.ImageSpec(width, height, channels, kind)
-    spec.alpha_channel = alpha
-    for name, value in attributes.items():
-        spec.attribute(name.replace("__", ":"), value)
-    sink = oiio.ImageOutput.create(str(file))
-    assert sink.open(str(file), spec) and sink.write_image(numbers) and sink.close()
 
 
 def read_raw(file: Path) -> np.ndarray:
@@ -49,19 +31,6 @@ def read_raw(file: Path) -> np.ndarray:
     numbers = source.read_image(source.spec().format)
     source.close()
     return numbers
-
-
-def png(width: int, height: int, data: bytes = b"") -> bytes:
-    """Builds a PNG file of 8-bit RGB, with any size in its header."""
-
-    def chunk(name: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-        )
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + chunks
 
 
 # --- written, then read ---------------------------------------------------------------------------
@@ -363,9 +332,9 @@ def test_headers_that_promise_too_much_are_refused(content, tmp_path, capfd):
 
 def test_pictures_with_too_many_pixels_are_refused(tmp_path, monkeypatch):
     st.write_image(tmp_path / "a.png", noise())
-    monkeypatch.setattr(images, "MOST_PIXELS", 34)
+    monkeypatch.setattr(image_reader, "MOST_PIXELS", 34)
     assert refused(tmp_path / "a.png") == "expected a picture of at most 34 pixels, got 7 x 5 x 1"
-    monkeypatch.setattr(images, "MOST_PIXELS", 35)
+    monkeypatch.setattr(image_reader, "MOST_PIXELS", 35)
     assert st.read_image(tmp_path / "a.png").shape == (5, 7, 3)
 
 
@@ -409,7 +378,7 @@ def test_unknown_colour_spaces_are_refused(tmp_path):
     message = "colorspace must be one of auto, linear, srgb, got 'rgb'"
     # the checks behind the types, which a caller without beartype reaches
     with pytest.raises(st.InputError, match=message):
-        images._is_linear.__wrapped__(tmp_path / "a.png", "rgb")
+        images._check_colorspace.__wrapped__("rgb")
 
 
 # --- what cannot be written -----------------------------------------------------------------------
