@@ -18,7 +18,7 @@ class SceneWarning(UserWarning):
 
 
 class PictureWarning(UserWarning):
-    """A usable picture file that may mean something else than what was read or written."""
+    """A usable picture that may mean something else than what was read, or takes much memory."""
 
 
 def printable(text: str) -> str:

@@ -1,13 +1,14 @@
 """The commands `spheretrace render | fit | check | study | info | convert`; all in a table."""
 
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from ..base.errors import InputError
+from ..base.errors import InputError, PictureWarning
 from ..fit.fit import DEFAULT_FREE
 from ..fit.model.parameters import NAMES
 from . import progress
@@ -27,6 +28,9 @@ from .arguments import (
 )
 from .cache import CacheCommand
 from .demo import DemoCommand
+
+#: The word for a mask that is the target's alpha.
+ALPHA = "alpha"
 
 
 @dataclass(kw_only=True)
@@ -90,10 +94,17 @@ class FitCommand(Sampling, Compiling):
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
     ] = "auto"
-    mask: Annotated[
-        Path | None,
-        arg(metavar="IMAGE", help="a picture that is black where TARGET does not count"),
+    layer: Annotated[
+        str | None, arg(metavar="NAME", help="the layer, view or page of TARGET, if it has several")
     ] = None
+    mask: Annotated[
+        str | None,
+        arg(metavar="IMAGE", help="a picture that is black where TARGET does not count and white "
+            "elsewhere, or the word alpha, for TARGET's own (./alpha is a file)"),
+    ] = None  # fmt: skip
+    shrink: Annotated[
+        int, arg(metavar="N", help="fit the means of N x N pixels, in less memory and time")
+    ] = 1
     darkest: Annotated[
         float | None, arg(metavar="X", help="numbers of TARGET up to this do not count")
     ] = None
@@ -121,31 +132,46 @@ class FitCommand(Sampling, Compiling):
         from .. import read_image, save_scene
         from ..files.atomic import check_target
         from ..files.formats import read_scene
+        from ..fit.model.target import mean_of_boxes
 
         free = names_in(self.free)
         check_target(self.output)
         check_folder(self.report)
         scene = read_scene(self.scene, self.dtype)
-        target = read_image(self.target, self.colorspace)
+        with warnings.catch_warnings():
+            if self.mask == ALPHA:  # what is transparent does not count, so it need not be said
+                warnings.filterwarnings("ignore", ".* are transparent", PictureWarning)
+            target = read_image(self.target, self.colorspace, layer=self.layer)
         result = progress.fit_with_progress(
             scene, target, free=free, max_steps=self.max_steps, mask=self._mask(),
-            darkest=self.darkest, noise=self.noise, loss=self.loss, start=self.start,
-            gauge=self.gauge, **self.settings,
+            darkest=self.darkest, noise=self.noise, loss=self.loss, shrink=self.shrink,
+            start=self.start, gauge=self.gauge, **self.settings,
         )  # fmt: skip
         save_scene(self.output, result.scene)
         print(f"{self.output}: {result.trust}")
         if self.report is not None:
+            shown = mean_of_boxes(target, self.shrink)
             for file in progress.report_with_progress(
-                self.report, result, scene, target, free, self.settings
+                self.report, result, scene, shown, free, self.settings
             ):
                 print(file)
         return 130 if result.interrupted else 0 if result.trust.ok else 1
 
     def _mask(self):
-        """Reads the mask: False where all channels are black."""
-        from .. import read_image
+        """Reads which pixels count, and says how many."""
+        from .. import read_mask
 
-        return None if self.mask is None else (read_image(self.mask) > 0).any(axis=-1)
+        if self.mask is None:
+            return None
+        alpha = self.mask == ALPHA
+        file = self.target if alpha else Path(self.mask)
+        with warnings.catch_warnings():
+            if alpha:  # said of the target
+                warnings.simplefilter("ignore", PictureWarning)
+            mask = read_mask(file, alpha=alpha, layer=self.layer if alpha else None)
+        what = f"{file} (alpha)" if alpha else file
+        print(f"{what}: {int(mask.sum())} of {mask.size} pixels count")
+        return mask
 
 
 @dataclass(kw_only=True)

@@ -14,7 +14,7 @@ from functools import partial
 
 import tyro
 
-from ..base.errors import InputError, SceneWarning
+from ..base.errors import InputError, PictureWarning, SceneWarning
 from .arguments import Command, Compiling
 from .cache import use_cache, use_default_cache
 from .commands import COMMANDS
@@ -105,13 +105,15 @@ def _show_warning(
         if message in said:
             return
         said.add(message)
-    prefix = "" if issubclass(category, SceneWarning) else f"{category.__name__}: "
+    prefix = (
+        "" if issubclass(category, (SceneWarning, PictureWarning)) else f"{category.__name__}: "
+    )
     print(f"spheretrace: warning: {prefix}{message}", file=sys.stderr)
 
 
 def _check_counts(command: Command) -> None:
     """Checks the counts of a command. **Raises:** `InputError`."""
-    for name, least in (("bounces", 0), ("samples", 1), ("max_steps", 1)):
+    for name, least in (("bounces", 0), ("samples", 1), ("max_steps", 1), ("shrink", 1)):
         value = getattr(command, name, None)
         if value is not None and value < least:
             raise InputError(f"--{name.replace('_', '-')} must be at least {least}, got {value}")

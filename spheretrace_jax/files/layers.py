@@ -60,7 +60,8 @@ def choose_layer(path: Path, source: Any, wanted: str | None) -> tuple[Layer, st
     if wanted is not None:
         named = [layer for layer in layers if wanted in (layer.name, layer.full_name)]
         if not named:
-            raise PictureError(f"{path}: there is no layer {wanted!r}, only {names}")
+            known = f"only {names}" if any(layer.name for layer in layers) else "as it names none"
+            raise PictureError(f"{path}: there is no layer {wanted!r}, {known}")
         return named[0], ""
     whole = lambda layer: layer.name.rpartition(".")[2].lower() not in _WHOLE
     chosen = min(layers, key=whole)

@@ -139,6 +139,7 @@ def fit(
     noise: Any = None,
     darkest: float | None = None,
     loss: Loss = "square",
+    shrink: int = 1,
     start: Start = "scene",
     gauge: Gauge = "ka",
     jacobian: Literal["structured", "dense"] = "structured",
@@ -182,6 +183,9 @@ def fit(
     - `darkest`: numbers up to `darkest` are under-exposed and do not count. 0 leaves out black.
     - `loss`: `"square"`; `"huber"` or `"cauchy"` for targets with outliers, in units of the noise,
       which is estimated from the residuals if it is not given.
+    - `shrink`: fits the means of boxes of `shrink` x `shrink` pixels, of which those count whose
+      numbers all count. It must divide width and height. Memory and time are `shrink`² times
+      less. A mean is one of an area: set antialias to 1, or `samples`.
     - `start`: `"lights"` searches for the lights first, from where they are in the scene. Each step
       takes the materials that suit them best, in closed form (variable projection). `"scene"`
       does so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
@@ -210,12 +214,14 @@ def fit(
     **Returns:** a `Fit`. A KeyboardInterrupt between two steps ends the fit with the best scene
     so far.
 
+    **Warns:** `PictureWarning` of the memory that a large picture takes.
+
     **Raises:** `InputError` (a `ValueError`) for unusable targets and names.
     """
     problem = make_problem(
         scene, target, tuple(free), per_picture=tuple(own), highlight=highlight, bounces=bounces,
         samples=samples, sharding=sharding, mask=mask, weights=weights, noise=noise,
-        darkest=darkest, loss=loss,
+        darkest=darkest, loss=loss, shrink=shrink,
     )  # fmt: skip
     edges = ", ".join(name for name in free if name in GEOMETRY)
     if edges and not all(p.scene.antialias for p in problem.parameters):

@@ -535,3 +535,76 @@ def test_a_full_disk_is_reported_and_keeps_every_old_file(tmp_path):
     assert result.stdout.splitlines() == expected, result.stderr
     assert sorted(f.name for f in tmp_path.iterdir()) == names
     assert {f.read_text() for f in tmp_path.iterdir()} == {"old"}
+
+
+# --- masks ----------------------------------------------------------------------------------------
+
+
+def test_a_mask_counts_from_half_on(tmp_path):
+    values = np.array([[0, 1, 60, 127, 128, 200, 255]], np.uint8)
+    write_raw(tmp_path / "a.png", values[..., None])
+    assert st.read_mask(tmp_path / "a.png").tolist() == [[False] * 4 + [True] * 3]
+    red = np.zeros((1, 7, 3), np.uint8)
+    red[..., 0] = values
+    write_raw(tmp_path / "a.png", red)
+    assert st.read_mask(tmp_path / "a.png").tolist() == [[False] * 4 + [True] * 3]
+
+
+def test_black_that_jpeg_made_grey_does_not_count(tmp_path):
+    mask = np.zeros((48, 60, 3), np.uint8)
+    mask[13:35, 21:43] = 255
+    write_raw(tmp_path / "a.jpg", mask, compression="jpeg:50")
+    assert (read_raw(tmp_path / "a.jpg")[mask == 0] > 0).sum() > 100
+    np.testing.assert_array_equal(st.read_mask(tmp_path / "a.jpg"), mask[..., 0] > 0)
+
+
+def test_alpha_is_a_mask_where_it_is_asked_for(tmp_path):
+    numbers = np.full((1, 4, 4), 90, np.uint8)
+    numbers[0, :, 3] = (0, 127, 128, 255)
+    write_raw(tmp_path / "a.png", numbers, alpha=3, oiio__UnassociatedAlpha=1)
+    assert st.read_mask(tmp_path / "a.png", alpha=True).tolist() == [[False, False, True, True]]
+    write_raw(tmp_path / "b.png", numbers[..., :3])
+    with pytest.raises(st.PictureError, match="has no alpha channel that could be the mask"):
+        st.read_mask(tmp_path / "b.png", alpha=True)
+
+
+def test_what_is_no_mask_is_named(tmp_path):
+    write_raw(tmp_path / "a.png", np.linspace(60, 200, 35).astype(np.uint8).reshape(5, 7, 1))
+    with pytest.raises(st.PictureError, match=r"got only greys from 0\.24 to 0\.78$"):
+        st.read_mask(tmp_path / "a.png")
+    write_raw(tmp_path / "a.png", np.linspace(0, 100, 35).astype(np.uint8).reshape(5, 7, 1))
+    with pytest.raises(st.PictureError, match="no pixel of the mask counts"):
+        st.read_mask(tmp_path / "a.png")
+    write_raw(tmp_path / "a.png", np.linspace(0, 255, 35).astype(np.uint8).reshape(5, 7, 1))
+    with pytest.warns(st.PictureWarning, match=r"black and white, \d\d% of its pixels are grey"):
+        st.read_mask(tmp_path / "a.png")
+
+
+# --- the file says how its numbers are coded ------------------------------------------------------
+
+
+@pytest.mark.parametrize("colorspace", ["auto", "linear", "srgb"])
+@pytest.mark.parametrize(
+    ("ending", "bits"),
+    [(".exr", 32), (".exr", 16), (".png", 8), (".png", 16), (".tif", 8), (".tif", 16),
+     (".tif", 32), (".jpg", 8)],
+)  # fmt: skip
+def test_what_was_written_is_read_as_the_same_linear_numbers(ending, bits, colorspace, tmp_path):
+    image = np.zeros((16, 16, 3), np.float32) + np.array([0.2, 0.5, 0.9], np.float32)
+    st.write_image(tmp_path / f"a{ending}", image, colorspace=colorspace, bits=bits)
+    steps = {8: 2.5 / 255 if ending == ".jpg" else 0.6 / 255, 16: 1e-3, 32: 2e-6}
+    error = np.abs(st.read_image(tmp_path / f"a{ending}") - image).max()
+    assert error <= steps[bits] * STEEPEST
+
+
+def test_a_tiff_of_32_bits_holds_linear_numbers_beyond_1(tmp_path):
+    image = noise(most=100.0) - 1
+    st.write_image(tmp_path / "a.tif", image, bits=32)
+    np.testing.assert_array_equal(read_raw(tmp_path / "a.tif"), image)
+    np.testing.assert_array_equal(st.read_image(tmp_path / "a.tif"), image)
+
+
+def test_what_a_format_cannot_say_is_named(tmp_path):
+    for name, colorspace in (("a.ppm", "linear"), ("a.hdr", "srgb")):
+        with pytest.warns(st.PictureWarning, match=f"cannot say .* with colorspace='{colorspace}'"):
+            st.write_image(tmp_path / name, noise(), colorspace=colorspace)

@@ -414,3 +414,61 @@ def test_counted_numbers_are_finite():
         make_target(broken, DOUBLE, mask=mask)
     mask[1, 1] = False
     assert make_target(broken, DOUBLE, mask=mask).counted == 54
+
+
+# --- smaller pictures -----------------------------------------------------------------------------
+
+
+def test_a_smaller_target_holds_the_means_of_its_boxes():
+    image = np.random.default_rng(0).uniform(0.1, 0.9, (4, 6, 3))
+    image[0, 0, 1], image[3, 5] = 1, 0.01
+    mask = np.full((4, 6), True)
+    mask[0, 3] = False
+    whole = make_target(image, DOUBLE, mask=mask, darkest=0.05)
+    target = make_target(image, DOUBLE, mask=mask, darkest=0.05, shrink=2)
+    means = image.reshape(2, 2, 3, 2, 3).mean((1, 3))
+    counts = np.full((2, 3, 3), True)
+    counts[0, 0, 1] = counts[0, 1] = counts[1, 2] = False  # clipped, masked, dark
+    np.testing.assert_array_equal(np.asarray(target.weight) > 0, counts)
+    np.testing.assert_allclose(np.asarray(target.image)[counts], means[counts], rtol=1e-14)
+    np.testing.assert_allclose(np.asarray(target.weight)[counts], 1, rtol=1e-14)
+    assert whole.counted == 4 * 6 * 3 - 1 - 3 - 3
+
+
+def test_the_noise_of_a_mean_is_less():
+    image = np.full((2, 4, 3), 0.5)
+    noise = np.array([[1.0, 1, 3, 3], [1, 1, 4, 4]])
+    target = make_target(image, DOUBLE, noise=noise, shrink=2)
+    expected = [2, 4 / np.sqrt(9 + 9 + 16 + 16)]
+    np.testing.assert_allclose(target.weight[0, :, 0], expected, rtol=1e-12)
+    weighted = make_target(image, DOUBLE, weights=9.0, shrink=2)
+    np.testing.assert_allclose(weighted.weight, 3, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("shape", "shrink", "said"),
+    [
+        ((4, 6, 3), 3, "shrink must divide width and height of 6 x 4 pixels, such as 2; got 3"),
+        ((4, 6, 3), 0, "such as 2; got 0"),
+        ((5, 6, 3), 2, "shrink must divide width and height of 6 x 5 pixels, but none does; got 2"),
+    ],
+)
+def test_sides_that_do_not_divide_a_picture_are_named(shape, shrink, said):
+    with pytest.raises(st.InputError) as error:
+        make_target(np.full(shape, 0.5), DOUBLE, shrink=shrink)
+    assert said in str(error.value)
+
+
+def test_a_picture_of_which_no_box_counts_whole_is_refused():
+    mask = np.indices((4, 4)).sum(0) % 2 == 0
+    with pytest.raises(st.PictureError, match="no box of 2 x 2 pixels counts"):
+        make_target(np.full((4, 4, 3), 0.5), DOUBLE, mask=mask, shrink=2)
+
+
+def test_a_fit_of_a_smaller_picture():
+    """Fits means of 2 x 2 rays to means of 2 x 2 pixels, which are the same numbers."""
+    large = np.asarray(st.render(TRUTH, width=128, height=128, **PLAIN))
+    found = st.fit(START, large, shrink=2, samples=2, bounces=0)
+    assert found.problem.targets[0].image.shape == (64, 64, 3) and found.trust.ok
+    assert light_error(found.scene) < 1e-7
+    assert product_error(found.scene) < 1e-7

@@ -5,13 +5,14 @@ Gauss-Newton on r~(r) with r~^2 / 2 = rho(r) minimises the sum of rho. See Trigg
 Adjustment - A Modern Synthesis", 2000, section 4.3.
 """
 
+import math
 from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from ...base.errors import InputError, PictureError
 from ...base.safe_math import larger
@@ -150,6 +151,7 @@ def make_target(
     noise: ArrayLike | None = None,
     darkest: float | None = None,
     loss: Loss = "square",
+    shrink: int = 1,
 ) -> Target:
     """Checks a target picture and leaves out what is clipped.
 
@@ -203,7 +205,46 @@ def make_target(
         weight = np.where(pixels <= darkest, 0, weight)
     if not (weight > 0).any():
         raise PictureError("no number of the target counts: there is nothing to fit")
+    pixels, weight = _shrunk(pixels, weight, shrink)
+    if noise is not None:  # of a mean of n numbers the noise is sqrt(n) times less
+        weight = weight * shrink
     return Target(jnp.asarray(pixels, dtype), jnp.asarray(weight, dtype), jnp.ones((), dtype), loss)
+
+
+def _shrunk(pixels: np.ndarray, weight: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Averages boxes of pixels, of which those count whose numbers all count.
+
+    **Raises:** `InputError` for sides that do not divide the picture, `PictureError` if no box
+    counts.
+    """
+    height, width, _ = pixels.shape
+    if side < 1 or height % side or width % side:
+        divisors = [str(n) for n in common_divisors(width, height)]
+        known = f"such as {', '.join(divisors[:6])}" if divisors else "but none does"
+        raise InputError(
+            f"shrink must divide width and height of {width} x {height} pixels, {known}; got {side}"
+        )
+    if side == 1:
+        return pixels, weight
+    counts = mean_of_boxes(weight > 0, side) == 1
+    if not counts.any():
+        raise PictureError(f"no box of {side} x {side} pixels counts: there is nothing to fit")
+    variance = mean_of_boxes(np.where(weight > 0, weight, 1.0) ** -2, side)
+    return mean_of_boxes(pixels, side), np.where(counts, variance**-0.5, 0)
+
+
+def mean_of_boxes(
+    image: Shaped[np.ndarray, "height width 3"], side: int
+) -> Float[np.ndarray, "rows columns 3"]:
+    """Returns the means of boxes of `side` x `side` pixels, which divide the picture."""
+    height, width, _ = image.shape
+    return image.reshape(height // side, side, width // side, side, 3).mean(axis=(1, 3))
+
+
+def common_divisors(width: int, height: int) -> list[int]:
+    """Returns the whole numbers from 2 on that divide both."""
+    most = math.gcd(width, height)
+    return [n for n in range(2, most + 1) if most % n == 0]
 
 
 def _promoted(value: ArrayLike) -> np.ndarray:

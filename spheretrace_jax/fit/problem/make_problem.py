@@ -25,6 +25,7 @@ from ..model.parameters import (
 )
 from ..model.target import make_target
 from ..normal_equations.gbuffer import make_gbuffer
+from .memory import warn_of_memory
 from .problem import Problem
 
 # What a picture may have apart from other pictures of the same spheres.
@@ -81,6 +82,7 @@ def make_problem(
             chosen = dataclasses.replace(chosen, box=jnp.ones((), one.dtype))
         settings.append(chosen)
         targets.append(made)
+    warn_of_memory(settings, scenes[0].dtype.itemsize, counts.get("shrink", 1))
     scenes, targets = replicate((scenes, targets), settings[0].sharding)
     parameters = tuple(Parameters(one, free) for one in scenes)
     # of all pixels: the target of a problem may be replaced by one of which others count
