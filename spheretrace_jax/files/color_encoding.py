@@ -87,7 +87,7 @@ def find_encoding(
     except ValueError as error:
         raise PictureError(
             f"{path}: its colours are not read: {error}. Convert it to sRGB, or say how its "
-            "numbers are coded with colorspace= (--colorspace)"
+            "numbers are coded with colorspace= (fit --colorspace)"
         ) from None
 
 

@@ -24,6 +24,9 @@ from .color_spaces import (
 # How many numbers a parametric curve has, by its type.
 _PARAMETERS = (1, 3, 4, 5, 7)
 
+# The error of white below which it is one of rounding.
+_ROUNDING = 0.01
+
 # The codes of curves of high dynamic range in a `cicp` tag (ITU-T H.273): PQ and HLG.
 _HIGH_DYNAMIC_RANGE = (16, 18)
 
@@ -56,7 +59,11 @@ def read_profile(
     to_d50 = np.stack([_fixed(tags[xyz][8:20]) for _, xyz in names], axis=1)
     if to_d50.shape != (3, 3) or abs(np.linalg.det(to_d50)) < 1e-6:
         raise ValueError("has colours that make no sense")
-    return (red, green, blue), xyz_to_rec709(D50) @ to_d50
+    matrix = xyz_to_rec709(D50) @ to_d50
+    white = matrix.sum(axis=1, keepdims=True)
+    if np.abs(white - 1).max() < _ROUNDING:  # so that white is 1, by which clipped numbers show
+        matrix = matrix / white
+    return (red, green, blue), matrix
 
 
 def _tags(profile: bytes) -> dict[bytes, bytes]:

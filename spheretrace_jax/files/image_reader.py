@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..base.errors import PictureError, printable
-from .color_encoding import ColorEncoding, find_encoding
+from .color_encoding import LINEAR, SRGB, ColorEncoding, find_encoding
 from .layers import Layer, choose_layer
 from .png import SIGNATURE, PngFile, read_png
 
@@ -46,6 +46,8 @@ class ImageData(NamedTuple):
     color: Float[np.ndarray, "height width 3"]  #: linear Rec. 709, over black
     alpha: Float[np.ndarray, "height width"] | None
     remarks: list[str]  #: what the user should know of the file, each on one line
+    encoding: ColorEncoding
+    as_stored: bool  #: whether the file holds just these pixels: upright, opaque
 
 
 def read_file(
@@ -85,6 +87,18 @@ def _opened(path: Path) -> Iterator[Any]:
         yield source
     finally:
         source.close()
+
+
+def is_plain(path: Path, linear: bool) -> bool:
+    """Returns whether programs that only decode a file's pixels read the same picture.
+
+    **Arguments:** `linear`: whether they take the numbers to be linear, and not sRGB.
+
+    **Raises:** `PictureError` as `read_file`.
+    """
+    image, taken = read_file(path), LINEAR if linear else SRGB
+    same_colors = image.encoding.curves == taken.curves and image.encoding.matrix is None
+    return image.as_stored and same_colors and not image.remarks
 
 
 def _look_at_start(path: Path) -> tuple[PngFile | None, str]:
@@ -146,7 +160,13 @@ def _read(
         exposure = spec.getattribute("hdr:exposure")
         if encoding is None and exposure:
             color = color / np.float32(exposure)
-    return ImageData(color, alpha, [found.doubt, *_remarks(spec, png)])
+    as_stored = (
+        spec.getattribute("Orientation") in (None, 0, 1)
+        and color.shape[:2] == (spec.height, spec.width)
+        and (alpha is None or bool((alpha == 1).all()))
+        and not exposure
+    )
+    return ImageData(color, alpha, [found.doubt, *_remarks(spec, png)], found, as_stored)
 
 
 def _check_size(path: Path, spec: Any, format_name: str) -> None:

@@ -76,7 +76,7 @@ def read_image(
     if image.alpha is not None and transparent:
         remarks.append(
             f"{path}: {transparent} of {image.alpha.size} pixels are transparent, and read as over "
-            "black; a fit can leave them out (read_mask, --mask alpha)"
+            "black; a fit can leave them out (read_mask, fit --mask alpha)"
         )
     _warn(remarks)
     return image.color

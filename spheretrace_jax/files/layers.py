@@ -67,7 +67,7 @@ def choose_layer(path: Path, source: Any, wanted: str | None) -> tuple[Layer, st
     chosen = min(layers, key=whole)
     if len(layers) == 1:
         return chosen, ""
-    return chosen, f"of the layers {names} read {chosen.name!r}: layer= (--layer) names another"
+    return chosen, f"of the layers {names} read {chosen.name!r}: layer= (fit --layer) names another"
 
 
 def _layers(source: Any) -> tuple[list[Layer], list[str], bool]:

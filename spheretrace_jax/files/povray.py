@@ -28,12 +28,7 @@ from ..scene.spheres import Spheres
 from ..scene.texture import Texture
 from ..tracing.tables import SceneTables, build_tables
 from .atomic import write_text
-
-_FORMATS = {
-    ".bmp": "bmp", ".exr": "exr", ".gif": "gif", ".hdr": "hdr", ".jpeg": "jpeg", ".jpg": "jpeg",
-    ".png": "png", ".ppm": "ppm", ".tga": "tga", ".tif": "tiff", ".tiff": "tiff",
-}  # fmt: skip
-_LINEAR_FORMATS = ("exr", "hdr")
+from .povray_image import declared_image
 
 _Number = float | np.floating
 
@@ -109,7 +104,7 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
     for position, color in _rows(scene.lights.position, scene.lights.color):
         lines.append(f"light_source {{ {_vector(position)} rgb {_vector(color)} }}")
     for k in sorted(set(scene.spheres.pic) - {0}):
-        lines.append(_image(f"Image{k}", scene.textures[k - 1]))
+        lines.append(declared_image(f"Image{k}", scene.textures[k - 1]))
     lines += _spheres(scene, eye, highlight)
     lines += _planes(scene.planes, highlight)
     lines += _back_plane(scene)
@@ -216,23 +211,7 @@ def _background(scene: Scene) -> list[str]:
     if scene.sky is None:
         return [f"background {{ rgb {_vector(np.asarray(scene.background))} }}", *wrapped]
     pigment = _wrapped("Sky", scene.sky, np.ones(3), 0.0)
-    return [*wrapped, _image("Sky", scene.sky), f"sky_sphere {{ pigment {{ {pigment} }} }}"]
-
-
-def _image(name: str, texture: Texture) -> str:
-    """Declares a function that looks up a texture's file."""
-    if not texture.file:
-        raise SceneError("a texture is in no file: write it with write_image and name that file")
-    ending = Path(texture.file).suffix.lower()
-    if ending not in _FORMATS:
-        known = ", ".join(_FORMATS)
-        raise SceneError(f"{texture.file}: expected a picture that POV-Ray reads ({known})")
-    file = Path(texture.file).as_posix()  # POV-Ray takes slashes on Windows, too
-    if any(c in file for c in '"\\\r\n'):
-        raise SceneError(f"POV-Ray cannot name the picture {texture.file!r}")
-    gamma = "1" if _FORMATS[ending] in _LINEAR_FORMATS else "srgb"
-    image = f'{_FORMATS[ending]} "{file}" gamma {gamma} map_type 1 interpolate 2'
-    return f"#declare {name} = function {{ pigment {{ image_map {{ {image} }} }} }}"
+    return [*wrapped, declared_image("Sky", scene.sky), f"sky_sphere {{ pigment {{ {pigment} }} }}"]
 
 
 def _wrapped(name: str, texture: Texture, color: np.ndarray, kt: _Number) -> str:

@@ -57,7 +57,7 @@ def test_alpha_that_is_not_the_mask_is_named():
     status, _, err = spheretrace(*FIT)
     assert status == 1 and err == (
         "spheretrace: warning: target.png: 384 of 768 pixels are transparent, and read as over "
-        "black; a fit can leave them out (read_mask, --mask alpha)\n"
+        "black; a fit can leave them out (read_mask, fit --mask alpha)\n"
     )
 
 
@@ -82,7 +82,9 @@ def test_what_is_no_mask_is_named(target, mask, said):
 def test_a_layer_of_the_target_is_named():
     words = ("fit", "scene.txt", "views.exr", "-o", "fitted.txt", "--free", "kd")
     status, _, err = spheretrace(*words)
-    said = "views.exr: of the layers 'left', 'right' read 'left': layer= (--layer) names another"
+    said = (
+        "views.exr: of the layers 'left', 'right' read 'left': layer= (fit --layer) names another"
+    )
     assert (status, err) == (1, f"spheretrace: warning: {said}\n")
     status, _, err = spheretrace(*words, "--layer", "right")
     assert (status, err) == (0, "")
@@ -91,15 +93,21 @@ def test_a_layer_of_the_target_is_named():
     assert (status, err) == (2, f"spheretrace: {said}\n")
 
 
+SMALLER = ("fit", "scene.txt", "rgb.png", "-o", "fitted.txt", "--free", "kd", "--samples", "2")
+
+
+@pytest.mark.slow
 def test_a_smaller_picture_is_fitted():
-    words = ("fit", "scene.txt", "rgb.png", "-o", "fitted.txt", "--free", "kd", "--samples", "2")
-    status, out, err = spheretrace(*words, "--shrink", "2", "--report", "report")
+    status, out, err = spheretrace(*SMALLER, "--shrink", "2", "--report", "report")
     assert (status, err) == (0, ""), out
     found, truth = (st.load_scene(name) for name in ("fitted.txt", "scene.txt"))
     np.testing.assert_allclose(found.spheres.kd, truth.spheres.kd, rtol=0, atol=0.01)
     assert Path("report/comparison.png").is_file()
+
+
+def test_a_picture_that_cannot_be_so_much_smaller_is_named():
     for shrink, said in (
         ("5", "shrink must divide width and height of 32 x 24 pixels, such as 2, 4, 8; got 5"),
         ("0", "--shrink must be at least 1, got 0"),
     ):
-        assert spheretrace(*words, "--shrink", shrink) == (2, "", f"spheretrace: {said}\n")
+        assert spheretrace(*SMALLER, "--shrink", shrink) == (2, "", f"spheretrace: {said}\n")

@@ -150,10 +150,10 @@ def test_colours_are_converted_by_the_profile(name, columns, curve, decoded, end
 def test_white_and_greys_stay_what_they_are_in_every_profile(tmp_path):
     grey = np.repeat(np.arange(0, 256, 5, dtype=np.uint8)[None, :, None], 3, axis=2)
     for columns in (P3_D50, ADOBE_D50, PROPHOTO_D50):
-        profile = icc_profile(columns, gamma_curve(1.8))
+        profile = icc_profile(columns, gamma_curve(460 / 256))
         write_raw(tmp_path / "a.png", grey, ICCProfile=profile)
         found = st.read_image(tmp_path / "a.png")
-        np.testing.assert_allclose(found, (grey / 255) ** 1.8, rtol=0, atol=3e-4)
+        np.testing.assert_allclose(found, (grey / 255) ** (460 / 256), rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,7 @@ def test_where_several_layers_could_be_meant_it_says_which(names, taken, others,
     file = tmp_path / "a.exr"
     write_raw(file, NUMBERS[..., :6], names=names)
     image, (said,) = warned(file)
-    assert said.startswith(f"of the layers {others} read '") and "layer= (--layer)" in said
+    assert said.startswith(f"of the layers {others} read '") and "layer= (fit --layer)" in said
     if taken is not None:
         assert f"read {taken!r}: " in said
         np.testing.assert_array_equal(st.read_image(file, layer=taken), image)
@@ -196,7 +196,7 @@ def test_two_views_are_named(tmp_path):
     parts = [{"oiio:subimagename": name, "view": name} for name in ("left", "right")]
     write_parts(file, *zip(views, parts, strict=True))
     image, (said,) = warned(file)
-    assert said == "of the layers 'left', 'right' read 'left': layer= (--layer) names another"
+    assert said == "of the layers 'left', 'right' read 'left': layer= (fit --layer) names another"
     np.testing.assert_array_equal(image, views[0])
     for name, view in zip(("left", "right"), views, strict=True):
         np.testing.assert_array_equal(st.read_image(file, layer=name), view)

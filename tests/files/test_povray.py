@@ -15,6 +15,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.picture_files import P3_D50, icc_profile, write_raw
 
 import spheretrace_jax as st
 from spheretrace_jax.files.povray import povray_text, write_povray
@@ -157,3 +158,28 @@ def test_file_is_named_after_its_scene_but_not_its_folder(tmp_path):
     lines = (tmp_path / "a.pov").read_text().splitlines()
     assert lines[0] == "// made from a.txt"
     assert [file.name for file in tmp_path.iterdir()] == ["a.pov"]
+
+
+@pytest.mark.parametrize(
+    ("name", "attributes"),
+    [
+        ("a.png", {"Orientation": 6}),
+        ("a.png", {"ICCProfile": icc_profile(P3_D50)}),
+        ("a.png", {"oiio:ColorSpace": "lin_rec709_scene"}),
+        ("a.png", {"alpha": 3}),
+        ("a.exr", {"window": (1, 1, 9, 9)}),
+    ],
+)
+def test_a_texture_that_pov_ray_would_read_otherwise_is_refused(name, attributes, tmp_path):
+    numbers = np.full((4, 8, 4 if "alpha" in attributes else 3), 100, np.uint8)
+    numbers = numbers.astype(np.float32) if name == "a.exr" else numbers
+    file = str(tmp_path / name)
+    texture = st.Texture(np.ones((4, 8, 3)), file)
+    spheres = st.Spheres([[0.0, 0.0, 0.0]], [40.0], pic=(1,))
+    scene = st.Scene(spheres, st.Lights([[100.0, 500, 800]]), textures=[texture])
+    write_raw(file, numbers[..., :3])
+    assert f'"{file}" gamma {"1" if name == "a.exr" else "srgb"}' in povray_text(scene)
+    write_raw(file, numbers, **attributes)
+    with pytest.raises(st.SceneError, match="POV-Ray would read this picture without its") as error:
+        povray_text(scene)
+    assert str(error.value).startswith(f"{file}: ")

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from helpers.picture_files import P3_D50, icc_profile, write_raw
 from helpers.scenes import assert_same
 from hypothesis import given, settings, strategies as some
 from hypothesis.extra.numpy import arrays
@@ -554,6 +555,23 @@ def test_scenes_that_no_file_may_hold_are_not_written(mistake, tmp_path):
         st.save_scene(file, scene)
     assert message in str(error.value)
     assert file.read_text() == "kept" and list(tmp_path.iterdir()) == [file]
+
+
+def test_a_texture_is_read_upright_by_its_profile_and_over_black(tmp_path):
+    numbers = np.array([[[255, 0, 0, 255], [90, 90, 90, 0]]], np.uint8)
+    write_raw(
+        tmp_path / "a.png", numbers, alpha=3, oiio__UnassociatedAlpha=1, Orientation=6,
+        ICCProfile=icc_profile(P3_D50),
+    )  # fmt: skip
+    (tmp_path / "scene.txt").write_text(SCENE + "texture a.png\nbackground_image a.png\n")
+    with pytest.warns(st.PictureWarning) as caught:
+        scene = st.load_scene(tmp_path / "scene.txt", np.float64)
+    said = f"{tmp_path / 'a.png'}: 1 of 2 pixels are transparent, and read as over black"
+    assert all(str(w.message).startswith(said) for w in caught)
+    for texture in (*scene.textures, scene.sky):
+        assert texture.image.shape == (2, 1, 3)
+        expected = [[[1.22494, -0.04206, -0.01964]], [[0, 0, 0]]]
+        np.testing.assert_allclose(texture.image, expected, rtol=0, atol=3e-4)
 
 
 @pytest.mark.parametrize(

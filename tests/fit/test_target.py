@@ -465,6 +465,7 @@ def test_a_picture_of_which_no_box_counts_whole_is_refused():
         make_target(np.full((4, 4, 3), 0.5), DOUBLE, mask=mask, shrink=2)
 
 
+@pytest.mark.slow
 def test_a_fit_of_a_smaller_picture():
     """Fits means of 2 x 2 rays to means of 2 x 2 pixels, which are the same numbers."""
     large = np.asarray(st.render(TRUTH, width=128, height=128, **PLAIN))
