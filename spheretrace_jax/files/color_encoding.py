@@ -33,6 +33,9 @@ from .png import PngFile
 # numbers, each in its own way.
 _SRGB_ERROR = 1e-3
 
+# How many rows are decoded at once.
+_STRIP = 64
+
 # Other names of spaces that OpenImageIO's readers use.
 _NAMES = {
     "sRGB": "srgb_rec709", "linear": "lin_rec709", "scene_linear": "lin_rec709",
@@ -59,14 +62,20 @@ class ColorEncoding:
 
     def decode(self, color: Float[np.ndarray, "height width 3"]) -> np.ndarray:
         """Converts coded numbers to linear Rec. 709 in float32."""
-        if all(curve is self.curves[0] for curve in self.curves):
-            color = self.curves[0](color)
-        else:
-            channels = [curve(color[..., k]) for k, curve in enumerate(self.curves)]
-            color = np.stack(channels, axis=-1)
-        if self.matrix is not None:
-            color = color @ self.matrix.T.astype(np.float32)
-        return color.astype(np.float32)
+        if self.is_linear and self.matrix is None:
+            return color
+        decoded = np.empty(color.shape, np.float32)
+        for row in range(0, len(color), _STRIP):  # curves take the memory of several pictures
+            strip = color[row : row + _STRIP]
+            if self.curves[1:] == self.curves[:-1]:
+                strip = self.curves[0](strip)
+            else:
+                channels = (curve(strip[..., k]) for k, curve in enumerate(self.curves))
+                strip = np.stack(tuple(channels), axis=-1)
+            if self.matrix is not None:
+                strip = strip @ self.matrix.T
+            decoded[row : row + _STRIP] = strip
+        return decoded
 
 
 SRGB, LINEAR = ColorEncoding((srgb,) * 3), ColorEncoding()

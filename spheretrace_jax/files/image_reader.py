@@ -33,6 +33,9 @@ _MULTIPLIED = ("openexr", "tiff", "rla", "iff")
 # Formats that know a display window beside the pixels they hold.
 _WINDOWED = ("openexr", "tiff")
 
+# The largest number of a picture that is known as clipped, give or take rounding.
+_CLIPPED = 1 + 5e-5
+
 # Limit of the header of a Radiance file, in bytes.
 _RADIANCE_HEADER = 1 << 14
 
@@ -48,6 +51,7 @@ class ImageData(NamedTuple):
     remarks: list[str]  #: what the user should know of the file, each on one line
     encoding: ColorEncoding
     as_stored: bool  #: whether the file holds just these pixels: upright, opaque
+    saturated: int  #: how many pixels are saturated, if the converted numbers do not show it
 
 
 def read_file(
@@ -152,21 +156,27 @@ def _read(
     pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, end - first)
     pixels = _upright(_windowed(pixels, spec, format_name), spec.getattribute("Orientation"))
     alpha = None if layer.alpha is None else pixels[..., layer.alpha - first]
-    channels = layer.color if len(layer.color) == 3 else layer.color * 3
-    coded = np.stack([pixels[..., channel - first] for channel in channels], axis=-1)
+    if layer.color == (first, first + 1, first + 2):
+        coded = pixels[..., :3]
+    else:
+        channels = layer.color if len(layer.color) == 3 else layer.color * 3
+        coded = np.stack([pixels[..., channel - first] for channel in channels], axis=-1)
     straight = bool(spec.getattribute("oiio:UnassociatedAlpha")) or format_name not in _MULTIPLIED
     with np.errstate(invalid="ignore", over="ignore"):  # nan and inf stay what they are
         color = _over_black(coded, alpha, straight, found)
         exposure = spec.getattribute("hdr:exposure")
         if encoding is None and exposure:
             color = color / np.float32(exposure)
+    color = np.ascontiguousarray(color)
     as_stored = (
         spec.getattribute("Orientation") in (None, 0, 1)
         and color.shape[:2] == (spec.height, spec.width)
         and (alpha is None or bool((alpha == 1).all()))
         and not exposure
     )
-    return ImageData(color, alpha, [found.doubt, *_remarks(spec, png)], found, as_stored)
+    remarks = [found.doubt, *_remarks(spec, png)]
+    hidden = _hidden_saturation(coded, color, found)
+    return ImageData(color, alpha, remarks, found, as_stored, hidden)
 
 
 def _check_size(path: Path, spec: Any, format_name: str) -> None:
@@ -234,6 +244,16 @@ def _over_black(
     shown = alpha > 0
     plain = np.where(shown, coded / np.where(shown, alpha, 1), coded)
     return encoding.decode(plain) * np.where(shown, alpha, 1)
+
+
+def _hidden_saturation(coded: np.ndarray, color: np.ndarray, encoding: ColorEncoding) -> int:
+    """Counts the saturated pixels of a picture in wide primaries, if its numbers do not show them.
+
+    Without greater numbers, those that are 1 show that a picture was clipped.
+    """
+    if encoding.matrix is None or coded.max() != 1 or color.max() <= _CLIPPED:
+        return 0
+    return int(np.count_nonzero((coded == 1).any(axis=-1)))
 
 
 def _remarks(spec: Any, png: PngFile | None) -> list[str]:

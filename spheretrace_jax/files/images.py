@@ -18,7 +18,7 @@ from .atomic import check_target, replacing, reserve
 from .color_encoding import LINEAR, SRGB
 from .color_spaces import code_srgb
 from .icc_profile import linear_profile
-from .image_reader import check_name, read_file, reason
+from .image_reader import ImageData, check_name, read_file, reason
 from .picture_formats import PICTURE_FORMATS, PictureFormat
 
 Colorspace = Literal["auto", "linear", "srgb"]
@@ -71,15 +71,34 @@ def read_image(
     _check_colorspace(colorspace)
     encoding = {"auto": None, "linear": LINEAR, "srgb": SRGB}[colorspace]
     image = read_file(path, encoding, layer)
-    remarks = image.remarks
-    transparent = 0 if image.alpha is None else int(np.count_nonzero(image.alpha < 1))
-    if image.alpha is not None and transparent:
-        remarks.append(
-            f"{path}: {transparent} of {image.alpha.size} pixels are transparent, and read as over "
-            "black; a fit can leave them out (read_mask, fit --mask alpha)"
-        )
-    _warn(remarks)
+    how = "; a fit can leave them out (read_mask, fit --mask alpha)"
+    _warn([*image.remarks, *_transparency(path, image, how), *_saturation(path, image)])
     return image.color
+
+
+def read_texture(path: str | os.PathLike) -> Float[np.ndarray, "height width 3"]:
+    """Reads the bitmap of a texture or a sky. **Warns, raises:** as `read_image`."""
+    image = read_file(Path(path))
+    _warn([*image.remarks, *_transparency(Path(path), image)])
+    return image.color
+
+
+def _transparency(path: Path, image: ImageData, how: str = "") -> list[str]:
+    """Says how many pixels are transparent. **Arguments:** `how`: to leave them out."""
+    if image.alpha is None or not (count := int(np.count_nonzero(image.alpha < 1))):
+        return []
+    pixels = f"{count} of {image.alpha.size} pixels"
+    return [f"{path}: {pixels} are transparent, and read as over black{how}"]
+
+
+def _saturation(path: Path, image: ImageData) -> list[str]:
+    """Says how many pixels are saturated, where the numbers do not show it."""
+    if not image.saturated:
+        return []
+    return [
+        f"{path}: {image.saturated} pixels are saturated, which its colours beyond 1 hide; a fit "
+        "can leave them out (brightest=0.999, fit --brightest 0.999)"
+    ]
 
 
 def read_mask(

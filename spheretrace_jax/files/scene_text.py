@@ -336,11 +336,11 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
 
 def _read_texture(tokens: Tokens, folder: Path, token: Token, name: str) -> Texture:
     """Reads the texture that `token` names. **Raises:** `SceneError` at the token."""
-    from .images import read_image
+    from .images import read_texture
 
     file = os.path.abspath(folder / name)
     try:
-        image = read_image(file)
+        image = read_texture(file)
         if not np.isfinite(image).all():
             raise PictureError("it holds numbers that are nan or inf")
         return Texture(image, file)

@@ -156,6 +156,20 @@ def test_white_and_greys_stay_what_they_are_in_every_profile(tmp_path):
         np.testing.assert_allclose(found, (grey / 255) ** (460 / 256), rtol=0, atol=2e-6)
 
 
+def test_saturation_that_a_conversion_hides_is_named(tmp_path, recwarn):
+    """A saturated channel of wide primaries is at least 1 after conversion, but others may be."""
+    numbers = np.array([[[255, 255, 255], [90, 80, 70], [254, 10, 10]]], np.uint8)
+    write_raw(tmp_path / "a.png", numbers, ICCProfile=icc_profile(P3_D50))
+    with pytest.warns(st.PictureWarning, match="1 pixels are saturated, which its colours"):
+        found = st.read_image(tmp_path / "a.png")
+    assert (found[0, 0] >= 0.999).all() and not (found[0, 1] >= 0.999).any()
+    for quiet in (numbers[:, :2], numbers[:, 1:]):  # known as clipped; nothing is saturated
+        write_raw(tmp_path / "a.png", np.ascontiguousarray(quiet), ICCProfile=icc_profile(P3_D50))
+        recwarn.clear()
+        st.read_image(tmp_path / "a.png")
+        assert not recwarn.list
+
+
 @pytest.mark.parametrize(
     ("curve", "decoded"),
     [

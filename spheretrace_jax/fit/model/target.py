@@ -174,7 +174,7 @@ def make_target(
         )
     if loss not in _THRESHOLDS:
         raise InputError(f"loss must be one of {', '.join(_THRESHOLDS)}, got {loss!r}")
-    weight = np.ones(pixels.shape)
+    weight = np.ones(pixels.shape, dtype)
     if mask is not None:
         mask = _per_number(mask, pixels, "mask")
         if mask.dtype != bool:
