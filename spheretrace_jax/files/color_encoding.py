@@ -43,6 +43,7 @@ _NAMES = {
     "ACES2065-1": "lin_ap0", "lin_rec709": "lin_rec709",
 }  # fmt: skip
 
+_UNSAID = ("", "unknown", "data", "raw")  # of which no coding is known
 _UNCALIBRATED, _ADOBE_RGB = 0xFFFF, 2  # the field ColorSpace of Exif
 _FLOATING = ("half", "float", "double")
 
@@ -120,7 +121,7 @@ def _encoding(spec: Any, format_name: str, png: PngFile | None, radiance: str) -
         return ColorEncoding(curves, matrix)
     floating = str(spec.format) in _FLOATING
     name = str(spec.getattribute("oiio:ColorSpace") or "")
-    if format_name == "pnm" or not name:  # OpenImageIO says Rec709 of every PNM file
+    if format_name == "pnm" or name.lower() in _UNSAID:  # it says Rec709 of every PNM file
         found = LINEAR if floating else SRGB
     else:
         found = _of_name(name, spec.getattribute("oiio:Gamma"), format_name)

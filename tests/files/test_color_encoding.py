@@ -260,7 +260,11 @@ def test_an_exr_of_other_primaries_is_converted(name, attribute, tmp_path):
 
 def test_an_exr_says_its_space_by_name(tmp_path):
     color = np.full((2, 3, 3), 0.5, np.float32)
-    for name, expected in (("srgb_rec709_scene", decode(0.5)), ("lin_ap1_scene", 0.5)):
+    spaces = {
+        "srgb_rec709_scene": decode(0.5), "lin_ap1_scene": 0.5, "g22_adobergb_scene": 0.5**2.2,
+        "srgb_p3d65_display": decode(0.5), "unknown": 0.5, "data": 0.5,
+    }  # fmt: skip
+    for name, expected in spaces.items():
         write_raw(tmp_path / "a.exr", color, oiio__ColorSpace=name)
         np.testing.assert_allclose(st.read_image(tmp_path / "a.exr"), expected, rtol=0, atol=1e-5)
 
