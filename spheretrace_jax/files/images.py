@@ -58,8 +58,8 @@ def read_image(
 
     - `colorspace`: how the file's numbers are coded, whatever the file says: `"linear"` or
       `"srgb"`, both of Rec. 709; `"auto"` for what the file says.
-    - `layer`: which layer, view, part, page or frame of a file with several; parts without a name
-      are called `"1"`, `"2"` and so on.
+    - `layer`: which layer, view, part, page or frame of a file with several, by its name; parts
+      also by their number, from `"1"` on.
 
     **Warns:** `PictureWarning` if another layer could be meant, if pixels are transparent or not
     square, and if the file does not say what its colours are.

@@ -58,7 +58,8 @@ def choose_layer(path: Path, source: Any, wanted: str | None) -> tuple[Layer, st
         )
     names = _listed([layer.name for layer in layers])
     if wanted is not None:
-        named = [layer for layer in layers if wanted in (layer.name, layer.full_name)]
+        names_of = lambda layer: (layer.name, layer.full_name, str(layer.part + 1))
+        named = [layer for layer in layers if wanted in names_of(layer)]
         if not named:
             known = f"only {names}" if any(layer.name for layer in layers) else "as it names none"
             raise PictureError(f"{path}: there is no layer {wanted!r}, {known}")

@@ -200,6 +200,7 @@ def test_two_views_are_named(tmp_path):
     np.testing.assert_array_equal(image, views[0])
     for name, view in zip(("left", "right"), views, strict=True):
         np.testing.assert_array_equal(st.read_image(file, layer=name), view)
+    np.testing.assert_array_equal(st.read_image(file, layer="2"), views[1])
     assert "no layer 'up', only 'left', 'right'" in refused(file, layer="up")
 
 
