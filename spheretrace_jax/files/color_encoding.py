@@ -33,6 +33,9 @@ from .png import PngFile
 # numbers, each in its own way.
 _SRGB_ERROR = 1e-3
 
+# Limit of the name of a profile in a message, in characters.
+_LONGEST_NAME = 80
+
 # How many rows are decoded at once.
 _STRIP = 64
 
@@ -96,8 +99,8 @@ def find_encoding(
         return _snapped(_encoding(spec, format_name, png, radiance))
     except ValueError as error:
         raise PictureError(
-            f"{path}: its colours are not read: {error}. Convert it to sRGB, or say how its "
-            "numbers are coded with colorspace= (fit --colorspace)"
+            f"{path}: its colours are not read: {printable(str(error))}. Convert it to sRGB, or "
+            "say how its numbers are coded with colorspace= (fit --colorspace)"
         ) from None
 
 
@@ -113,7 +116,7 @@ def _encoding(spec: Any, format_name: str, png: PngFile | None, radiance: str) -
     if kind is not None:
         raise ValueError(f"they are {kind}, of which every printer has its own")
     if profile is not None:
-        name = printable(str(spec.getattribute("ICCProfile:profile_description") or ""))
+        name = str(spec.getattribute("ICCProfile:profile_description") or "")[:_LONGEST_NAME]
         try:
             curves, matrix = read_profile(np.asarray(profile, np.uint8).tobytes())
         except ValueError as error:
@@ -158,7 +161,7 @@ def _of_name(name: str, gamma: float | None, format_name: str) -> ColorEncoding:
         r"(?:ocio:)?(lin|srgb|g(\d+))_(\w+?)(?:_(?:scene|display|tx))?", _NAMES.get(name, name)
     )
     if not match or match[3] not in PRIMARIES:
-        raise ValueError(f"they are coded as {printable(name)}")
+        raise ValueError(f"they are coded as {name}")
     if match[2]:
         gamma = gamma or int(match[2]) / 10
         curve = power(1 / gamma if format_name == "hdr" else gamma)  # there it is the inverse

@@ -53,7 +53,8 @@ def test_matrices_are_the_published_ones(name):
 def said_of(file, *colorspace) -> str:
     with pytest.raises(st.PictureError) as error:
         st.read_image(file, *colorspace)
-    assert str(error.value).startswith(f"{file}: ") and "\n" not in str(error.value)
+    assert str(error.value).startswith(f"{file}: ") and str(error.value).isprintable()
+    assert len(str(error.value)) < 1000
     return str(error.value)
 
 
@@ -209,8 +210,9 @@ def test_profiles_that_cannot_be_used_are_named(tmp_path):
         ),
         "'v4' is one of tables for RGB colours": icc_profile(name="v4", tags={b"A2B0": b"mAB "}),
         "has a curve that makes no sense": icc_profile(curve=b"curv" + bytes(3)),
-        "has colours that make no sense": icc_profile(((1, 1, 1),) * 3),
+        "has colours that make no sense": icc_profile(((1, 1, 1),) * 3, name="long" * 999),
         "is of high dynamic range": icc_profile(tags={b"cicp": video}),
+        r"is one of tables for \x00\nB colours": icc_profile(space=b"\0\nB "),
     }
     for said, profile in cases.items():
         write_raw(tmp_path / "a.tif", COLORS, ICCProfile=profile)
