@@ -41,7 +41,7 @@ from ..scene.arrays import precision
 from ..scene.camera import Camera
 from ..scene.lights import Lights
 from ..scene.planes import BackPlane, Planes
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..scene.spheres import Spheres
 from ..scene.texture import Texture
 from .atomic import write_text
@@ -81,10 +81,10 @@ def save_scene(path: str | os.PathLike, scene: Scene) -> None:
     (Only the checker colour of a plane without squares, which no picture shows, is lost.)
 
     **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan), and
-    for textures that are in no file. `InputError` for arrays that are neither float32 nor float64.
+    for textures that are in no file. `InputError` for scenes whose arrays do not fit.
     `OSError` if the file cannot be written.
     """
-    scene.check_dtype()
+    scene = check_scene(scene)
     text = scene_text(scene, Path(path).parent)
     try:
         _Reader(os.fspath(path), text, scene.dtype).read()
