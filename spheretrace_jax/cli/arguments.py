@@ -54,7 +54,7 @@ class Sized(Command):
     size: Size = "512x512"
 
     @property
-    def width_height(self) -> dict[str, int]:
+    def width_height(self) -> dict[str, Any]:
         """Returns the size as arguments of `render`. **Raises:** `InputError`."""
         from ..files.image_reader import MOST_PIXELS
 

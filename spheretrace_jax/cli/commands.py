@@ -38,7 +38,8 @@ class RenderCommand(Sampling, Sized, Compiling):
     """Draw a scene to a picture file.
 
     The ending of IMAGE chooses the format: exr, hdr and tiff of 32 bits hold linear numbers,
-    unclamped; png, ppm, jpg and other tiff hold sRGB, clipped to 0..1.
+    unclamped; png, ppm, jpg and other tiff hold sRGB, clipped to 0..1. With --layers an exr file
+    also holds coverage (A), depth (Z), normals (N.X, N.Y, N.Z) and numbers of objects (id).
     """
 
     scene: SceneFile
@@ -50,24 +51,34 @@ class RenderCommand(Sampling, Sized, Compiling):
     bits: Annotated[
         int | None, arg(metavar="B", help="8, 16 or 32 per number, as far as IMAGE can")
     ] = None
+    layers: Annotated[
+        bool, FlagCreatePairsOff, arg(help="write depth, normals, objects and coverage, too")
+    ] = False
 
     def run(self) -> int:
         """Renders the scene and writes its picture."""
-        from .. import render, write_image
+        from .. import render, render_layers, write_image
         from ..files.formats import read_scene
         from ..files.images import check_writable
+        from ..files.layer_channels import check_layer_format
         from ..files.scene_text import scene_text
 
         size = self.width_height
         shown = "{width} x {height}".format(**size)
         check_writable(self.output, self.bits)
+        if self.layers:
+            check_layer_format(self.output)
         scene = read_scene(self.scene, self.dtype)
         start = time.perf_counter()
         with progress.busy(f"rendering {shown}"):
             picture = render(scene, **size, **self.settings).block_until_ready()
+            layers = render_layers(scene, **size, samples=self.samples) if self.layers else None
         seconds = time.perf_counter() - start
         text = scene_text(scene, self.output.parent)
-        write_image(self.output, picture, colorspace=self.colorspace, bits=self.bits, scene=text)
+        write_image(
+            self.output, picture, colorspace=self.colorspace, bits=self.bits, scene=text,
+            layers=layers,
+        )  # fmt: skip
         print(f"{self.output}: {shown}, {seconds:.2f} s with compilation")
         return 0
 

@@ -134,6 +134,7 @@ PICTURE = np.full((4, 4, 3), 0.5)
 USES = {
     "render": lambda s: st.render(s, width=4, height=4),
     "under jit": lambda s: eqx.filter_jit(st.render)(s, width=4, height=4),
+    "render_layers": lambda s: st.render_layers(s, width=4, height=4),
     "fit": lambda s: st.fit(s, PICTURE),
     "fit of several": lambda s: st.fit([SCENE, s], [PICTURE, PICTURE]),
     "needs": st.needs,
