@@ -76,7 +76,8 @@ def render_layers(
     of_points = settings(needs=needs)
     flat = dataclasses.replace(needs, background=True, **dict.fromkeys(_NOT_NEEDED, False))
     of_coverage = settings(samples=samples, needs=flat)
-    return _draw_layers(replicate(scene, of_points.sharding), of_points, of_coverage)
+    with jax.debug_infs(False):  # where nothing is hit the depth is infinite on purpose
+        return _draw_layers(replicate(scene, of_points.sharding), of_points, of_coverage)
 
 
 @compiled
