@@ -173,7 +173,7 @@ def with_one_dtype(tree: T, arrays: dict[str, Any]) -> T:
     dtype = precision(mode(dtypes.values()))
     for name, other in dtypes.items():
         if other != dtype:
-            raise InputError(f"{name} must be {dtype}, as the rest of the scene is, got {other}")
+            raise InputError(f"{name} must be {dtype}, as the rest is, got {other}")
     if not any(isinstance(x, _NO_ARRAYS_OF_JAX) for x in arrays.values()):
         return tree
     return jax.tree.map(lambda leaf: converted(leaf, dtype), tree)

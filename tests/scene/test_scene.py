@@ -122,7 +122,7 @@ CHANGES = [
     ),
     (lambda s: s.textures, (), "sphere 2 has texture 1, but there are 0 textures"),
     (lambda s: s.lights, None, "lights must be of class Lights, got None"),
-    (lambda s: s.spheres.kd, np.ones(3, int), "spheres.kd must be float64, as the rest of the"),
+    (lambda s: s.spheres.kd, np.ones(3, int), "spheres.kd must be float64, as the rest is, got"),
     (lambda s: s.spheres.kd, jnp.ones(3, bool), "spheres.kd must be float64"),
     (lambda s: s.spheres.radius, jnp.ones(3, jnp.float32), "spheres.radius must be float64"),
     (lambda s: s.camera.mu, np.float32(5), "camera.mu must be float64"),

@@ -10,6 +10,7 @@ from jax.sharding import NamedSharding
 
 from ...base.errors import InputError
 from ...base.types import Highlight
+from ...scene.arrays import is_traced
 from ...scene.needs import needs
 from ...scene.scene import Scene, check_scene
 from ...scene.settings import render_settings
@@ -51,6 +52,12 @@ def make_problem(
 
     **Raises:** `InputError` for unusable scenes, targets and names.
     """
+    # inside jit new arrays are traced, even where all arguments are concrete
+    if is_traced((scene, target, counts, jnp.zeros(()))):
+        raise InputError(
+            "fit goes step by step from the host, so jit, vmap and grad cannot trace it: call it "
+            "outside, and inside solution(found.problem), the same fit as a pure function"
+        )
     check_free(free)
     several = isinstance(scene, Iterable)
     scenes = [check_scene(one) for one in (scene if several else [scene])]
