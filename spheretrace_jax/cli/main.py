@@ -14,6 +14,7 @@ from functools import partial
 
 import tyro
 
+from .. import __version__
 from ..base.errors import InputError, PictureWarning, SceneWarning
 from .arguments import Command, Compiling
 from .cache import use_cache, use_default_cache
@@ -49,10 +50,14 @@ def _run() -> int:
     """Parses the command line and runs the command. **Returns:** the exit status."""
     import jax
 
+    if sys.argv[1:] == ["--version"]:
+        print(f"spheretrace {__version__}")
+        return 0
     command: Command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="spheretrace",
-        description="Draw worlds of spheres, and find the world that a picture shows.",
+        description="Draw worlds of spheres, and find the world that a picture shows. "
+        "`spheretrace --version` prints the version.",
         config=(tyro.conf.OmitArgPrefixes,),
     )
     warnings.showwarning = partial(_show_warning, set())

@@ -245,9 +245,7 @@ class _Reader:
                 known = ", ".join(self._KEYWORDS)
                 n = len(self.spheres)
                 after = "after 1 sphere" if n == 1 else f"after {n} spheres"
-                tokens.fail(
-                    word, f"expected the end of the file {after}, or one of {known}, got {word}"
-                )
+                tokens.fail_spelling(word, f"the end of the file {after}, or one of {known}")
             if word.text in seen and word.text not in ("texture", "plane"):
                 tokens.fail(word, f"{word.text} was given before, on line {seen[word.text]}")
             seen[word.text] = word.line

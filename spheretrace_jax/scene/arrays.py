@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..base.device import check_device
 from ..base.errors import InputError
 
 P = ParamSpec("P")
@@ -32,8 +33,9 @@ def floats(*values: Any) -> list[Array]:
     Python numbers, lists and arrays of whole numbers take the dtype of the floating arrays among
     the values. Without floating arrays, all values take JAX's default dtype.
 
-    **Raises:** `InputError` for arrays of other dtypes.
+    **Raises:** `InputError` for arrays of other dtypes, and where JAX has no device.
     """
+    check_device()
     typed = {v.dtype for v in values if isinstance(v, jax.Array | np.ndarray)}
     typed = {precision(t) for t in typed if not jnp.issubdtype(t, jnp.integer)}
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(*typed) if typed else float)
