@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..base.errors import InputError
-from .arrays import check_shapes, converted, described, floats, precision, with_one_dtype
+from .arrays import check_shapes, converted, described, floats, is_traced, precision, with_one_dtype
 from .camera import Camera
 from .lights import Lights
 from .planes import BackPlane, Planes
@@ -119,6 +119,17 @@ def check_scene(scene: Any) -> Scene:
         if name.endswith(".image") and 0 in array.shape:
             raise InputError(f"{name} must hold a pixel or more, got shape {array.shape}")
     return with_one_dtype(scene, arrays)
+
+
+def known_scene(scene: Any) -> Scene:
+    """Checks a scene that is to be written. **Returns, raises:** as `check_scene`.
+
+    **Raises:** `InputError` for numbers that are traced, too.
+    """
+    scene = check_scene(scene)
+    if is_traced(scene):
+        raise InputError("a scene that JAX traces has no numbers to write: write it outside of jit")
+    return scene
 
 
 def _check_parts(scene: Scene) -> None:

@@ -190,3 +190,9 @@ def test_the_check_keeps_whole_scenes_and_traced_ones():
     assert jax.eval_shape(check_scene, SCENE).camera.mu.shape == ()
     batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), SCENE)
     assert jax.vmap(lambda s: check_scene(s).camera.mu)(batch).shape == (2,)
+
+
+@pytest.mark.parametrize("name", ["save_scene", "write_povray"])
+def test_a_traced_scene_has_no_numbers_to_write(name):
+    with pytest.raises(st.InputError, match="write it outside of jit"):
+        jax.jit(USES[name])(SCENE)
