@@ -14,7 +14,6 @@ from functools import partial
 
 import tyro
 
-from .. import __version__
 from ..base.errors import InputError, PictureWarning, SceneWarning
 from .arguments import Command, Compiling
 from .cache import use_cache, use_default_cache
@@ -49,6 +48,8 @@ def main() -> None:
 def _run() -> int:
     """Parses the command line and runs the command. **Returns:** the exit status."""
     import jax
+
+    from .. import __version__
 
     if sys.argv[1:] == ["--version"]:
         print(f"spheretrace {__version__}")
