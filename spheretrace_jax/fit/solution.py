@@ -51,7 +51,8 @@ def solution(
     - `throw`: False returns the best that is found where the solver does not converge, as some of
       many starts may; derivatives are then of no use.
 
-    **Returns:** for each picture its scene and exposure, as `fit` with `gauge="none"`.
+    **Returns:** for each picture its scene and exposure, as `fit` with `gauge="none"`. In float32
+    they are right to some 1e-3: products are summed in float32, where `fit` sums in float64.
 
     **Raises:** `InputError` for a problem whose arrays do not fit. `RuntimeError` if the solver
     does not converge; of many at once, if any does not. (Under jit an error of Equinox, which is
