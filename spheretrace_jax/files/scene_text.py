@@ -61,7 +61,7 @@ def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
     **Raises:** `SceneError`, with `file:line:column: what was expected, what stands there`.
     **Warns:** `SceneWarning` where ka + kd > 1, which the lecture rules out.
     """
-    name = os.fspath(path)
+    name, dtype = os.fspath(path), _dtype(dtype)
     try:
         data = Path(path).read_bytes()
     except OSError as error:
