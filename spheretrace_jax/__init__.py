@@ -13,8 +13,11 @@ from .files.images import (
     write_image as write_image,
 )
 from .files.povray import write_povray as write_povray
-from .files.scene_text import load_scene as load_scene, save_scene as save_scene
+from .files.scene_text import load_scene as load_scene
+from .files.scene_writer import save_scene as save_scene
 from .fit import Fit as Fit, fit as fit
+from .fit.solution import solution as solution
+from .rendering.layers import Layers as Layers, render_layers as render_layers
 from .rendering.render import render as render
 from .scene.camera import Camera as Camera
 from .scene.lights import Lights as Lights

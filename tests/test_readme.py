@@ -56,7 +56,7 @@ def test_first_block(capsys):
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_all_blocks():
-    assert len(BLOCKS) == 6
+    assert len(BLOCKS) == 7
     run(BLOCKS)
 
 

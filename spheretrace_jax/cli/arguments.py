@@ -11,7 +11,9 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 from ..base.errors import InputError
 from ..base.types import Highlight
 
-SceneFile = Positional[Annotated[Path, arg(metavar="SCENE", help="the scene file")]]
+SceneFile = Positional[
+    Annotated[Path, arg(metavar="SCENE", help="the scene file, - for standard input")]
+]
 Dtype = Annotated[Literal["float32", "float64"], arg(help="the precision")]
 HighlightModel = Annotated[Highlight, arg(help="(R.V)^n or (H.N)^n")]
 _BOUNCES = arg(metavar="N", help="reflections and transmissions at most")
@@ -54,7 +56,7 @@ class Sized(Command):
     size: Size = "512x512"
 
     @property
-    def width_height(self) -> dict[str, int]:
+    def width_height(self) -> dict[str, Any]:
         """Returns the size as arguments of `render`. **Raises:** `InputError`."""
         from ..files.image_reader import MOST_PIXELS
 

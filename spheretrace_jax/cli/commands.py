@@ -28,6 +28,14 @@ from .arguments import (
 )
 from .cache import CacheCommand
 from .demo import DemoCommand
+from .standard_streams import (
+    STANDARD,
+    check_one_reader,
+    file_to_read,
+    file_to_write,
+    read_scene,
+    say,
+)
 
 #: The word for a mask that is the target's alpha.
 ALPHA = "alpha"
@@ -38,11 +46,15 @@ class RenderCommand(Sampling, Sized, Compiling):
     """Draw a scene to a picture file.
 
     The ending of IMAGE chooses the format: exr, hdr and tiff of 32 bits hold linear numbers,
-    unclamped; png, ppm, jpg and other tiff hold sRGB, clipped to 0..1.
+    unclamped; png, ppm, jpg and other tiff hold sRGB, clipped to 0..1. With --layers an exr file
+    also holds coverage (A), depth (Z), normals (N.X, N.Y, N.Z) and numbers of objects (id).
     """
 
     scene: SceneFile
-    output: Annotated[Path, arg(aliases=["-o"], metavar="IMAGE", help="the picture to write")]
+    output: Annotated[
+        Path,
+        arg(aliases=["-o"], metavar="IMAGE", help="the picture to write, - for standard output"),
+    ]
     dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how to code the file's numbers")
@@ -50,25 +62,41 @@ class RenderCommand(Sampling, Sized, Compiling):
     bits: Annotated[
         int | None, arg(metavar="B", help="8, 16 or 32 per number, as far as IMAGE can")
     ] = None
+    format: Annotated[
+        Literal["png", "exr", "hdr", "ppm", "tiff", "jpg"] | None,
+        arg(help="of the picture on standard output, png by default"),
+    ] = None
+    layers: Annotated[
+        bool, FlagCreatePairsOff, arg(help="write depth, normals, objects and coverage, too")
+    ] = False
 
     def run(self) -> int:
         """Renders the scene and writes its picture."""
-        from .. import render, write_image
-        from ..files.formats import read_scene
+        from .. import render, render_layers, write_image
         from ..files.images import check_writable
-        from ..files.scene_text import scene_text
+        from ..files.layer_channels import check_layer_format
+        from ..files.scene_writer import scene_text
 
         size = self.width_height
         shown = "{width} x {height}".format(**size)
-        check_writable(self.output, self.bits)
-        scene = read_scene(self.scene, self.dtype)
-        start = time.perf_counter()
-        with progress.busy(f"rendering {shown}"):
-            picture = render(scene, **size, **self.settings).block_until_ready()
-        seconds = time.perf_counter() - start
-        text = scene_text(scene, self.output.parent)
-        write_image(self.output, picture, colorspace=self.colorspace, bits=self.bits, scene=text)
-        print(f"{self.output}: {shown}, {seconds:.2f} s with compilation")
+        if self.format is not None and self.output != STANDARD:
+            raise InputError(f"--format is of standard output (-), got the file {self.output}")
+        with file_to_write(self.output, f".{self.format or 'png'}", binary=True) as file:
+            check_writable(file, self.bits)
+            if self.layers:
+                check_layer_format(file)
+            scene = read_scene(self.scene, self.dtype)
+            start = time.perf_counter()
+            with progress.busy(f"rendering {shown}"):
+                picture = render(scene, **size, **self.settings).block_until_ready()
+                layers = render_layers(scene, **size, samples=self.samples) if self.layers else None
+            seconds = time.perf_counter() - start
+            text = scene_text(scene, self.output.parent)
+            write_image(
+                file, picture, colorspace=self.colorspace, bits=self.bits, scene=text,
+                layers=layers,
+            )  # fmt: skip
+        say(self.output, f"{self.output}: {shown}, {seconds:.2f} s with compilation")
         return 0
 
 
@@ -82,9 +110,12 @@ class FitCommand(Sampling, Compiling):
     """
 
     scene: SceneFile
-    target: Positional[Annotated[Path, arg(metavar="TARGET", help="the picture to explain")]]
+    target: Positional[
+        Annotated[Path, arg(metavar="TARGET", help="the picture to explain, - for stdin")]
+    ]
     output: Annotated[
-        Path, arg(aliases=["-o"], metavar="FITTED.txt", help="the scene file to write")
+        Path,
+        arg(aliases=["-o"], metavar="FITTED.txt", help="the scene file to write, - for stdout"),
     ]
     free: Annotated[
         str,
@@ -131,46 +162,53 @@ class FitCommand(Sampling, Compiling):
         """Fits the scene, and writes it and the report."""
         from .. import read_image, save_scene
         from ..files.atomic import check_target
-        from ..files.formats import read_scene
+        from ..files.scene_writer import checked_text
         from ..fit.model.target import mean_of_boxes
 
         free = names_in(self.free)
-        check_target(self.output)
+        check_one_reader(self.scene, self.target)
+        if self.output != STANDARD:
+            check_target(self.output)
         check_folder(self.report)
         scene = read_scene(self.scene, self.dtype)
-        with warnings.catch_warnings():
-            if self.mask == ALPHA:  # what is transparent does not count, so it need not be said
-                warnings.filterwarnings("ignore", ".* are transparent", PictureWarning)
-            target = read_image(self.target, self.colorspace, layer=self.layer)
+        with file_to_read(self.target) as file:
+            with warnings.catch_warnings():
+                if self.mask == ALPHA:  # what is transparent does not count: it need not be said
+                    warnings.filterwarnings("ignore", ".* are transparent", PictureWarning)
+                target = read_image(file, self.colorspace, layer=self.layer)
+            mask = self._mask(file)
         result = progress.fit_with_progress(
-            scene, target, free=free, max_steps=self.max_steps, mask=self._mask(),
+            scene, target, free=free, max_steps=self.max_steps, mask=mask,
             darkest=self.darkest, noise=self.noise, loss=self.loss, shrink=self.shrink,
             start=self.start, gauge=self.gauge, **self.settings,
         )  # fmt: skip
-        save_scene(self.output, result.scene)
-        print(f"{self.output}: {result.trust}")
+        if self.output == STANDARD:
+            print(end=checked_text(result.scene, "standard output"))
+        else:
+            save_scene(self.output, result.scene)
+        say(self.output, f"{self.output}: {result.trust}")
         if self.report is not None:
             shown = mean_of_boxes(target, self.shrink)
             for file in progress.report_with_progress(
                 self.report, result, scene, shown, free, self.settings
             ):
-                print(file)
+                say(self.output, file)
         return 130 if result.interrupted else 0 if result.trust.ok else 1
 
-    def _mask(self):
-        """Reads which pixels count, and says how many."""
+    def _mask(self, target: Path):
+        """Reads which pixels count, and says how many. **Arguments:** `target`: TARGET's file."""
         from .. import read_mask
 
         if self.mask is None:
             return None
         alpha = self.mask == ALPHA
-        file = self.target if alpha else Path(self.mask)
+        file = target if alpha else Path(self.mask)
         with warnings.catch_warnings():
             if alpha:  # said of the target
                 warnings.simplefilter("ignore", PictureWarning)
             mask = read_mask(file, alpha=alpha, layer=self.layer if alpha else None)
-        what = f"{file} (alpha)" if alpha else file
-        print(f"{what}: {int(mask.sum())} of {mask.size} pixels count")
+        what = f"{self.target} (alpha)" if alpha else file
+        say(self.output, f"{what}: {int(mask.sum())} of {mask.size} pixels count")
         return mask
 
 
@@ -196,7 +234,6 @@ class CheckCommand(Sampling, Sized, Compiling):
 
     def run(self) -> int:
         """Checks the scene and prints the results."""
-        from ..files.formats import read_scene
         from .check import check
 
         size = self.width_height
@@ -229,7 +266,6 @@ class StudyCommand(Compiling):
 
     def run(self) -> int:
         """Measures, and writes the page and its figures."""
-        from ..files.formats import read_scene
         from .diagrams import write_study
 
         check_folder(self.report)
@@ -251,7 +287,6 @@ class InfoCommand(Command):
 
     def run(self) -> int:
         """Prints the scene and its needs."""
-        from ..files.formats import read_scene
         from ..study.benchmarks.feature_cost import feature_costs
         from .info import print_needs, print_scene
 
@@ -270,19 +305,23 @@ class ConvertCommand(Tracing):
     always_double: ClassVar[bool] = True
 
     scene: SceneFile
-    output: Positional[Annotated[Path, arg(metavar="OUT.pov", help="the POV-Ray file to write")]]
+    output: Positional[
+        Annotated[Path, arg(metavar="OUT.pov", help="the POV-Ray file to write, - for stdout")]
+    ]
 
     def run(self) -> int:
         """Writes the scene in the format of the output's ending."""
-        from ..files.formats import EXPORT_FORMATS, read_scene
+        from ..files.formats import EXPORT_FORMATS
 
-        if self.output.suffix not in EXPORT_FORMATS:
-            endings = " or ".join(EXPORT_FORMATS)
-            raise InputError(f"{self.output}: expected a file that ends in {endings}")
-        exported = EXPORT_FORMATS[self.output.suffix]
-        scene = read_scene(self.scene, "float64")
-        exported.write(self.output, scene, scene_path=self.scene, **self.settings)
-        print(f"{self.output}: render it with {exported.usage.format(file=self.output)}")
+        with file_to_write(self.output, ".pov") as file:
+            if file.suffix not in EXPORT_FORMATS:
+                endings = " or ".join(EXPORT_FORMATS)
+                raise InputError(f"{self.output}: expected a file that ends in {endings}")
+            exported = EXPORT_FORMATS[file.suffix]
+            scene = read_scene(self.scene, "float64")
+            exported.write(file, scene, scene_path=self.scene, **self.settings)
+        usage = exported.usage.format(file=self.output)
+        say(self.output, f"{self.output}: render it with {usage}")
         return 0
 
 

@@ -49,10 +49,16 @@ def _run() -> int:
     """Parses the command line and runs the command. **Returns:** the exit status."""
     import jax
 
+    from .. import __version__
+
+    if sys.argv[1:] == ["--version"]:
+        print(f"spheretrace {__version__}")
+        return 0
     command: Command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="spheretrace",
-        description="Draw worlds of spheres, and find the world that a picture shows.",
+        description="Draw worlds of spheres, and find the world that a picture shows. "
+        "`spheretrace --version` prints the version.",
         config=(tyro.conf.OmitArgPrefixes,),
     )
     warnings.showwarning = partial(_show_warning, set())

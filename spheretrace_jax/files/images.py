@@ -14,11 +14,13 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
 from ..base.errors import InputError, PictureError, PictureWarning
+from ..rendering.layers import Layers
 from .atomic import check_target, replacing, reserve
 from .color_encoding import LINEAR, SRGB
 from .color_spaces import code_srgb
 from .icc_profile import linear_profile
 from .image_reader import ImageData, check_name, read_file, reason
+from .layer_channels import layer_channels
 from .picture_formats import PICTURE_FORMATS, PictureFormat
 
 Colorspace = Literal["auto", "linear", "srgb"]
@@ -159,6 +161,7 @@ def write_image(
     colorspace: Colorspace = "auto",
     bits: int | None = None,
     scene: str | None = None,
+    layers: Layers | None = None,
 ) -> None:
     """Writes linear RGB as EXR, HDR, PNG, PPM, TIFF or JPEG, whole or not at all.
 
@@ -172,6 +175,8 @@ def write_image(
       default for EXR.
     - `scene`: the text of a scene file for the picture's metadata, which also hold the program's
       version and the colour space. PPM and HDR hold no text, TIFF and JPEG none above 60 kB.
+    - `layers`: those of `render_layers`, as more channels of an EXR file, floating in 32 bits:
+      coverage `A`, depth `Z`, normal `N.X N.Y N.Z` and object `id`.
 
     **Warns:** `PictureWarning` for a colour space that the format cannot say: linear in PPM, sRGB
     in HDR.
@@ -197,7 +202,13 @@ def write_image(
     linear = (usual if colorspace == "auto" else colorspace) == "linear"
     if not linear:
         pixels = to_srgb(pixels)
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, number_type)
+    more = {} if layers is None else layer_channels(path, layers, pixels.shape[:2])
+    pixels = np.dstack([pixels, *more.values()])
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], number_type)
+    if more:
+        spec.channelnames = ("R", "G", "B", *more)
+        types = [number_type] * 3 + ["float"] * len(more)
+        spec.channelformats = tuple(map(oiio.TypeDesc, types))
     spec.attribute("oiio:ColorSpace", _LINEAR if linear else _SRGB)
     spec.attribute("Software", f"spheretrace_jax {__version__}")
     if linear and format_.profile:

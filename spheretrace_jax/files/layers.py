@@ -100,12 +100,13 @@ def _layers_of_part(spec: Any, format_name: str) -> list[tuple[str, tuple[int, .
     colors: dict[str, dict[int, int]] = {}
     greys: dict[str, int] = {}
     alphas: dict[str, int] = {}
+    vectors = {full_name[:-2] for full_name in spec.channelnames if full_name[-2:] in (".X", ".Z")}
     for channel, full_name in enumerate(spec.channelnames):
         layer, _, name = full_name.rpartition(".")
         name = name.lower()
         if name in _COLORS:
             colors.setdefault(layer, {}).setdefault(_COLORS[name], channel)
-        elif name in _GREY:
+        elif name in _GREY and layer not in vectors:  # the Y of a normal is no brightness
             greys.setdefault(layer, channel)
         elif name in _ALPHA:
             alphas.setdefault(layer, channel)

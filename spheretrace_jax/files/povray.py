@@ -22,7 +22,7 @@ from ..base.types import Highlight
 from ..base.vec import Vec
 from ..scene.camera import Camera, view_frame
 from ..scene.planes import Planes
-from ..scene.scene import Scene
+from ..scene.scene import Scene, known_scene
 from ..scene.settings import check_highlight
 from ..scene.spheres import Spheres
 from ..scene.texture import Texture
@@ -88,12 +88,12 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
 
     **Raises:** `SceneError` for textures that are in no file, or in a format that POV-Ray does not
     read, and for numbers that are not finite. `InputError` for an unknown highlight, bounces out of
-    range, and arrays that are neither float32 nor float64.
+    range, and scenes whose arrays do not fit.
     """
     check_highlight(highlight)
     if not 0 <= bounces < 256:
         raise InputError(f"bounces must be in 0..255 for POV-Ray, got {bounces}")
-    scene.check_dtype()
+    scene = known_scene(scene)
     eye = _points(view_frame(scene.camera).eye)
     lines = [
         *(f"// not exact: {feature}" for feature in _inexact(scene, eye, bounces)),

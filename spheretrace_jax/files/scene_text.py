@@ -1,4 +1,4 @@
-"""Scene text: the lecture's scene file, read and written.
+"""Scene text: the lecture's scene file, read. (`scene_writer.py` writes it.)
 
 The grammar, with `//` comments to the end of the line and any white space between words:
 
@@ -31,7 +31,6 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unicodedata import category
 
 import jax
 import numpy as np
@@ -44,15 +43,14 @@ from ..scene.planes import BackPlane, Planes
 from ..scene.scene import Scene
 from ..scene.spheres import Spheres
 from ..scene.texture import Texture
-from .atomic import write_text
 from .tokens import Token, Tokens, decode
 
 _COLOR = ("R", "G", "B")
 _POSITION = ("Lx", "Ly", "Lz")
-_SPHERE = ("cx", "cy", "cz", "radius", *_COLOR, "ka", "kd", "ks", "specExp", "kgr", "kt")
+SPHERE_COLUMNS = ("cx", "cy", "cz", "radius", *_COLOR, "ka", "kd", "ks", "specExp", "kgr", "kt")
 _PLANE = ("px", "py", "pz", "nx", "ny", "nz", *_COLOR, "ka", "kd", "ks", "specExp", "kgr")
 _UNIT = {*_COLOR, "ka", "kd", "ks", "kgr", "kt"}
-_DEFAULT_WINDOW = 512.0
+DEFAULT_WINDOW = 512.0
 
 
 def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
@@ -63,85 +61,27 @@ def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
     **Raises:** `SceneError`, with `file:line:column: what was expected, what stands there`.
     **Warns:** `SceneWarning` where ka + kd > 1, which the lecture rules out.
     """
-    dtype = _dtype(dtype)
-    name = os.fspath(path)
+    name, dtype = os.fspath(path), _dtype(dtype)
     try:
         data = Path(path).read_bytes()
     except OSError as error:
         raise SceneError(f"{name}: cannot read the scene: {error.strerror}") from None
+    return parse_scene(data, name, Path(path).parent, dtype)
+
+
+def parse_scene(
+    data: bytes, name: str, folder: str | os.PathLike = ".", dtype: Any = None
+) -> Scene:
+    """Reads the content of a scene file.
+
+    **Arguments:** `name`: of the file, for messages. `folder`: to which textures are relative.
+    `dtype`, raises, warns: as `load_scene`.
+    """
+    dtype = _dtype(dtype)
     reader = _Reader(name, decode(name, data), dtype).read()
     for message in reader.warnings:
-        warnings.warn(message, SceneWarning, stacklevel=2)
-    return _build(reader, Path(path).parent, dtype)
-
-
-def save_scene(path: str | os.PathLike, scene: Scene) -> None:
-    """Writes a scene file atomically; reading the file in the same dtype gives the same scene.
-
-    (Only the checker colour of a plane without squares, which no picture shows, is lost.)
-
-    **Raises:** `SceneError` for numbers that no scene file may hold (a negative radius, nan), and
-    for textures that are in no file. `InputError` for arrays that are neither float32 nor float64.
-    `OSError` if the file cannot be written.
-    """
-    scene.check_dtype()
-    text = scene_text(scene, Path(path).parent)
-    try:
-        _Reader(os.fspath(path), text, scene.dtype).read()
-    except SceneError as error:
-        raise SceneError(f"cannot write a scene that could not be read: {error}") from None
-    write_text(path, text)
-
-
-def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
-    """Returns the text of a scene file in `folder`, with the shortest numbers that read exactly."""
-    s, c, planes = scene.spheres, scene.camera, scene.planes
-    lines = [
-        f"{_words(c.theta, c.phi, c.mu, c.distance)} // theta phi mu distance",
-        f"{scene.antialias} // antialias",
-        f"{len(scene.lights)} // numlights",
-    ]
-    white = np.ones(3)
-    for position, color in zip(scene.lights.position, scene.lights.color, strict=True):
-        lines.append(
-            _words(position) + ("" if np.array_equal(color, white) else " " + _words(color))
-        )
-    lines += [f"{len(s)} // numspheres", f"//{' '.join(_SPHERE)} pic"]
-    columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
-    for *row, pic in zip(*(np.asarray(x) for x in columns), s.pic, strict=True):
-        lines.append(f"{_words(*row)} {pic}")
-    lines += [f"texture {_file_name(t, folder)}" for t in scene.textures]
-    if (words := _words(scene.background)) != "0.0 0.0 0.0":
-        lines.append(f"background {words}")
-    if scene.sky is not None:
-        lines.append(f"background_image {_file_name(scene.sky, folder)}")
-    if (back := scene.back_plane) is not None:
-        lines.append(f"back_plane {_words(back.color, back.ka, back.kd)}")
-    columns = (planes.point, planes.normal, planes.color, planes.ka, planes.kd, planes.ks)
-    columns += (planes.exponent, planes.kgr, planes.checker_color, planes.checker_size)
-    for *row, color, size in zip(*(np.asarray(x) for x in columns), strict=True):
-        checker = f" checker {_words(color, size)}" if size else ""
-        lines.append(f"plane {_words(*row)}{checker}")
-    if float(c.window) != _DEFAULT_WINDOW:
-        lines.append(f"window {_words(c.window)}")
-    return "\n".join(lines) + "\n"
-
-
-def _words(*values: Any) -> str:
-    """Returns all numbers of the values, with spaces between them."""
-    return " ".join(str(x) for value in values for x in np.asarray(value).reshape(-1))
-
-
-def _file_name(texture: Texture, folder: str | os.PathLike) -> str:
-    """Returns a texture's file name relative to a folder, quoted if it has spaces."""
-    if not texture.file:
-        raise SceneError("a texture is in no file: write it with write_image and name that file")
-    name = Path(os.path.relpath(texture.file, folder)).as_posix()
-    if any(c == '"' or category(c) in ("Cc", "Cs") for c in name):
-        raise SceneError(
-            f"a scene file cannot name the picture {name!r}: it has a quote or a control character"
-        )
-    return f'"{name}"' if any(c.isspace() for c in name) else name
+        warnings.warn(message, SceneWarning, stacklevel=3)
+    return _build(reader, Path(folder), dtype)
 
 
 def _dtype(dtype: Any) -> np.dtype:
@@ -155,6 +95,11 @@ def _dtype(dtype: Any) -> np.dtype:
     return chosen
 
 
+def check_text(name: str, text: str, dtype: np.dtype) -> None:
+    """Checks a scene's text, without its textures. **Raises:** `SceneError`."""
+    _Reader(name, text, dtype).read()
+
+
 class _Reader:
     """The tables of a scene file, each number checked, without the textures' pixels."""
 
@@ -165,7 +110,7 @@ class _Reader:
         self.planes: list[list[float]] = []
         self.background = [0.0, 0.0, 0.0]
         self.back_plane: list[float] | None = None
-        self.window = _DEFAULT_WINDOW
+        self.window = DEFAULT_WINDOW
         self.pics: list[tuple[Token, int]] = []
         self.warnings: list[str] = []
 
@@ -213,7 +158,7 @@ class _Reader:
 
     def _sphere(self, row: list[Token]) -> list[float]:
         """Reads a sphere, and warns if ka + kd > 1."""
-        values = self._values(row[:-1], _SPHERE)
+        values = self._values(row[:-1], SPHERE_COLUMNS)
         total = values[7] + values[8]
         if total > 1 + 1e-6:
             position = f"{self.tokens.name}:{row[7].line}:{row[7].column}"
@@ -245,9 +190,7 @@ class _Reader:
                 known = ", ".join(self._KEYWORDS)
                 n = len(self.spheres)
                 after = "after 1 sphere" if n == 1 else f"after {n} spheres"
-                tokens.fail(
-                    word, f"expected the end of the file {after}, or one of {known}, got {word}"
-                )
+                tokens.fail_spelling(word, f"the end of the file {after}, or one of {known}")
             if word.text in seen and word.text not in ("texture", "plane"):
                 tokens.fail(word, f"{word.text} was given before, on line {seen[word.text]}")
             seen[word.text] = word.line

@@ -1,6 +1,8 @@
 """Tokens: the words of a text file with their positions, and numbers in ranges."""
 
+import codecs
 import re
+import unicodedata
 from collections.abc import Iterator
 from math import isfinite
 from typing import NoReturn
@@ -63,6 +65,22 @@ class Tokens:
         """Fails at a token. **Raises:** `SceneError` with the position of `token`."""
         raise SceneError(f"{self.name}:{token.line}:{token.column}: {message}")
 
+    def fail_spelling(self, token: Token, wanted: str) -> NoReturn:
+        """Fails at a token that is not what was expected.
+
+        Characters that look like others, or like none, are named: a minus sign of typesetting.
+
+        **Raises:** `SceneError` with the position of the first such character, or of `token`.
+        """
+        for place, character in enumerate(token.text):
+            if not character.isascii():
+                name = unicodedata.name(character, "a control character")
+                odd = Token(token.text, token.line, token.column + place)
+                self.fail(
+                    odd, f"expected {wanted}, got {token} with U+{ord(character):04X} ({name})"
+                )
+        self.fail(token, f"expected {wanted}, got {token}")
+
     @property
     def line_ends(self) -> bool:
         """Tells whether the latest token is the last one of its line."""
@@ -94,7 +112,7 @@ class Tokens:
     def number(self, token: Token, name: str) -> float:
         """Reads a finite number, rounded to the file's dtype. **Raises:** `SceneError`."""
         if len(token.text) > 400 or not _NUMBER.fullmatch(token.text):
-            self.fail(token, f"expected {name}, a number, got {token}")
+            self.fail_spelling(token, f"{name}, a number")
         value = float(self.dtype.type(float(token.text)))
         if not isfinite(value):
             self.fail(token, f"{name} must be finite in {self.dtype}, got {token}")
@@ -118,12 +136,19 @@ class Tokens:
     def count(self, token: Token, name: str) -> int:
         """Reads a whole number from 0. **Raises:** `SceneError`."""
         if not _COUNT.fullmatch(token.text):
-            self.fail(token, f"expected {name}, a whole number from 0, got {token}")
+            self.fail_spelling(token, f"{name}, a whole number from 0")
         return int(token.text)
 
 
 def decode(name: str, data: bytes) -> str:
-    """Decodes a file; comments may be in Latin-1. **Raises:** `SceneError` for binary data."""
+    """Decodes a file in UTF-8; comments may be in Latin-1.
+
+    **Raises:** `SceneError` for UTF-16, UTF-32 and binary data.
+    """
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _is_wide(data):
+        raise SceneError(
+            f"{name}:1:1: expected text in UTF-8, got UTF-16 or UTF-32: save the file as UTF-8"
+        )
     control = _CONTROL.search(data)
     if control:
         line = data.count(b"\n", 0, control.start()) + 1
@@ -136,3 +161,9 @@ def decode(name: str, data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def _is_wide(data: bytes) -> bool:
+    """Tells whether every other byte of a text's start is 0, as in UTF-16 and UTF-32."""
+    start = data[:64]
+    return len(start) > 1 and any(not any(part) for part in (start[::2], start[1::2]))

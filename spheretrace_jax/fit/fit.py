@@ -26,7 +26,7 @@ from .model.target import Loss
 from .normal_equations.normal_equations import NormalEquations
 from .problem.make_problem import make_problem
 from .problem.problem import Problem, normal_at
-from .solver.driver import Driver, Progress
+from .solver.driver import Driver, Progress, check_solver
 from .solver.gauge import GAUGES, Gauge, fix_gauge
 from .solver.levenberg_marquardt import BoundedLevenbergMarquardt
 from .solver.light_search import Start, problem_starts
@@ -97,7 +97,8 @@ class Fit(eqx.Module):
     @property
     def result_message(self) -> str:
         """Returns why the solver stopped, if it did not converge."""
-        return str(optx.RESULTS[self.result])
+        # more sentences follow, on root finding and linear solvers
+        return " ".join(str(optx.RESULTS[self.result]).split()).split(". ")[0].rstrip(".")
 
     @property
     def converged(self) -> bool:
@@ -216,8 +217,10 @@ def fit(
 
     **Warns:** `PictureWarning` of the memory that a large picture takes.
 
-    **Raises:** `InputError` (a `ValueError`) for unusable targets and names.
+    **Raises:** `InputError` (a `ValueError`) for unusable targets, scenes, names and solvers, and
+    inside jit, vmap and grad, where `solution` is the same fit.
     """
+    check_solver(solver)
     problem = make_problem(
         scene, target, tuple(free), per_picture=tuple(own), highlight=highlight, bounces=bounces,
         samples=samples, sharding=sharding, mask=mask, weights=weights, noise=noise,
@@ -259,7 +262,10 @@ def fit(
         best = dataclasses.replace(best, interrupted=True)
     assert best is not None
     if throw and not best.interrupted and not best.converged:
-        raise RuntimeError(f"the fit did not converge: {best.result_message}")
+        raise RuntimeError(
+            f"the fit did not converge in {best.steps} steps ({best.result_message}): allow more "
+            "(max_steps), or look at what it finds without throw=True"
+        )
     return best
 
 

@@ -5,7 +5,7 @@ from jax.sharding import NamedSharding
 from ..base.types import Highlight, Picture
 from ..base.vec import Vec
 from ..scene.needs import Needs
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from ..scene.settings import RenderSettings, render_settings
 from ..tracing.context import build_context
 from ..xla.jit import compiled
@@ -53,9 +53,10 @@ def render(
     `render` with the same arguments, and `jax.experimental.multihost_utils.process_allgather(
     picture, tiled=True)` is the whole picture as a numpy array.
 
-    **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights and
-    shardings that divide other than rows.
+    **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights,
+    shardings that divide other than rows, and scenes whose arrays do not fit.
     """
+    scene = check_scene(scene)
     checked = render_settings(
         scene, width, height, highlight=highlight, bounces=bounces, samples=samples, needs=needs,
         sharding=sharding,

@@ -1,5 +1,8 @@
 """Samples: the k x k parts of each pixel, their rays, and what these see."""
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -20,6 +23,8 @@ from ..xla.loops import STRIP_PIXELS, keep_loop_parallel
 from ..xla.rematerialization import remat
 from .pixel_filter import interleave
 from .wavefront import ray_radiance
+
+T = TypeVar("T")
 
 # Pixels with edges are composited this many at a time, as few as keeps the overhead small.
 EDGE_PIXELS = 1 << 11
@@ -108,38 +113,55 @@ def _positions(
     return left + column.astype(left.dtype), top + row.astype(top.dtype)
 
 
-def _render_sample(
-    context: TraceContext, left: Array, top: Array, cover: bool
-) -> tuple[Vec | Picture, Mask]:
-    """Renders one sample of each pixel, strip by strip; returns what `render_samples` does."""
-    scene, settings = context.scene, context.settings
-    dtype, width, height = context.dtype, settings.width, settings.height
-    count = settings.rows.count
-    strips = -(-width * count // STRIP_PIXELS)
+def trace_strips(
+    context: TraceContext, left: Array, top: Array, trace: Callable[[TraceContext, Ray], T]
+) -> T:
+    """Traces the rays of one sample of each pixel, strip by strip.
+
+    **Arguments:** `left`, `top`: as for `point_radiance`. `trace`: returns what the rays of a strip
+    see, in arrays whose first axes are the strip's rows and columns.
+
+    **Returns:** the same for all rows.
+    """
+    settings, camera, dtype = context.settings, context.scene.camera, context.dtype
+    size, count = (settings.width, settings.height), settings.rows.count
+    strips = -(-settings.width * count // STRIP_PIXELS)
     rows = -(-count // strips)
     if context.accelerator is not None:
         rows = -(-rows // TILE) * TILE
 
     # the reverse pass traces a strip again rather than keep the temporaries of all of them
     @remat
-    def trace_strip(first_row: Int[Array, ""]) -> tuple[Vec | Picture, Mask]:
+    def trace_strip(first_row: Int[Array, ""]) -> T:
         first_row = keep_loop_parallel(first_row)
-        columns, lines = (jnp.arange(n, dtype=dtype) for n in (width, rows))
+        columns, lines = (jnp.arange(n, dtype=dtype) for n in (settings.width, rows))
         lines = top + first_row.astype(dtype) + lines
-        ray = pixel_rays(scene.camera, (left + columns)[None, :], lines[:, None], (width, height))
-        cone = None
-        if settings.antialias:
-            side = scene.camera.window / height * settings.side
-            cone = pixel_cones(scene.camera, ray, side)
-        color, edge = ray_radiance(context.from_row(first_row), ray, cone)
-        if settings.antialias:
-            return where(edge, zeros(edge.shape, dtype), color), edge
-        # interleaved here, the rows go straight into the picture: 9.8 against 11.3 ms
-        return interleave(color), edge
+        ray = pixel_rays(camera, (left + columns)[None, :], lines[:, None], size)
+        return trace(context.from_row(first_row), ray)
 
     first_rows = jnp.arange(0, count, rows, dtype=jnp.int32)
     join_strips = lambda x: x.reshape(-1, *x.shape[2:])[:count]
-    color, edge = jax.tree.map(join_strips, lax.map(trace_strip, first_rows))
+    return jax.tree.map(join_strips, lax.map(trace_strip, first_rows))
+
+
+def _strip_radiance(context: TraceContext, ray: Ray) -> tuple[Vec | Picture, Mask]:
+    """Returns what rays see, black where edges are covered, and where there may be edges."""
+    settings, camera, cone = context.settings, context.scene.camera, None
+    if settings.antialias:
+        cone = pixel_cones(camera, ray, camera.window / settings.height * settings.side)
+    color, edge = ray_radiance(context, ray, cone)
+    if settings.antialias:
+        return where(edge, zeros(edge.shape, context.dtype), color), edge
+    # interleaved here, the rows go straight into the picture: 9.8 against 11.3 ms
+    return interleave(color), edge
+
+
+def _render_sample(
+    context: TraceContext, left: Array, top: Array, cover: bool
+) -> tuple[Vec | Picture, Mask]:
+    """Renders one sample of each pixel; returns what `render_samples` does."""
+    settings, width = context.settings, context.settings.width
+    color, edge = trace_strips(context, left, top, _strip_radiance)
     if not settings.antialias:
         return color, edge
 

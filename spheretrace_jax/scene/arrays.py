@@ -1,8 +1,10 @@
 """Arrays of a scene: their dtype, and one row for each object from a number that holds for all."""
 
-from collections.abc import Callable, Iterable, Iterator
+import dataclasses
+from collections.abc import Callable
 from contextlib import nullcontext
-from functools import wraps
+from functools import cache, wraps
+from statistics import mode
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -11,13 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..base.device import check_device
 from ..base.errors import InputError
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-#: The coefficients of the lecture's shading that spheres and planes have, in the scene's order.
-COEFFICIENTS = ("ka", "kd", "ks", "exponent", "kgr")
 
 
 def precision(dtype: Any) -> np.dtype:
@@ -33,8 +33,9 @@ def floats(*values: Any) -> list[Array]:
     Python numbers, lists and arrays of whole numbers take the dtype of the floating arrays among
     the values. Without floating arrays, all values take JAX's default dtype.
 
-    **Raises:** `InputError` for arrays of other dtypes.
+    **Raises:** `InputError` for arrays of other dtypes, and where JAX has no device.
     """
+    check_device()
     typed = {v.dtype for v in values if isinstance(v, jax.Array | np.ndarray)}
     typed = {precision(t) for t in typed if not jnp.issubdtype(t, jnp.integer)}
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(*typed) if typed else float)
@@ -93,11 +94,95 @@ def material_rows(rows: int, color: Array, *coefficients: Array) -> list[Array]:
     return [color_rows(color, rows), *(number_rows(x, rows) for x in coefficients)]
 
 
-def misshapen(
-    objects: object, names: Iterable[str], shape: tuple[int, ...]
-) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Yields the name and the shape of each field whose shape is not `shape`."""
-    for name in names:
-        field = getattr(objects, name)
-        if field.shape != shape:
-            yield name, field.shape
+def check_shapes(owner: str, part: Any) -> dict[str, Any]:
+    """Checks the arrays of a part of a scene against the axes that its fields are annotated with.
+
+    Python's numbers count as arrays without axes.
+
+    **Arguments:** `owner`: the part's name in the scene, with a dot; empty for the scene itself.
+
+    **Returns:** the arrays by their names, such as `spheres.kd`.
+
+    **Raises:** `InputError` for other shapes, and for what is no array.
+    """
+    fields = _axes_of(type(part))
+    arrays = {name: getattr(part, name) for name in fields}
+    lengths = _axis_lengths(fields, arrays)
+    for name, array in arrays.items():
+        wanted = tuple(lengths.get(axis, axis) for axis in fields[name])
+        if is_array(array):
+            got = None if array.shape == wanted else str(array.shape)
+        else:
+            number = not wanted and type(array) in (int, float)
+            got = None if number else described(array)
+        if got is not None:
+            shape = f"({', '.join(map(str, wanted))}{',' if len(wanted) == 1 else ''})"
+            raise InputError(f"{owner}{name} must be an array of shape {shape}, got {got}")
+    return {f"{owner}{name}": array for name, array in arrays.items()}
+
+
+@cache
+def _axes_of(part: type) -> dict[str, tuple[int | str, ...]]:
+    """Returns the axes of the fields that are arrays: lengths, or names of lengths."""
+    annotated = {f.name: getattr(f.type, "dim_str", None) for f in dataclasses.fields(part)}
+    length = lambda axis: int(axis) if axis.isdigit() else axis
+    return {
+        name: tuple(map(length, axes.split()))
+        for name, axes in annotated.items()
+        if axes is not None
+    }
+
+
+def _axis_lengths(
+    fields: dict[str, tuple[int | str, ...]], arrays: dict[str, Any]
+) -> dict[int | str, int]:
+    """Returns how long named axes are: as most of the arrays say that have as many axes."""
+    found: dict[int | str, list[int]] = {}
+    for name, axes in fields.items():
+        shape = arrays[name].shape if is_array(arrays[name]) else ()
+        if len(shape) == len(axes):
+            for axis, length in zip(axes, shape, strict=True):
+                found.setdefault(axis, []).append(length)
+    return {axis: mode(lengths) for axis, lengths in found.items() if isinstance(axis, str)}
+
+
+def described(value: Any) -> str:
+    """Returns words for a value of a wrong class."""
+    if is_array(value):
+        return "an array"
+    return "None" if value is None else f"a {type(value).__name__}"
+
+
+def is_array(value: Any) -> bool:
+    """Tells whether a value is an array of JAX, traced ones included, or of NumPy."""
+    return hasattr(value, "shape")  # many times as fast as to ask for the class
+
+
+_NO_ARRAYS_OF_JAX = (np.ndarray, np.generic, int, float)
+
+
+def with_one_dtype(tree: T, arrays: dict[str, Any]) -> T:
+    """Returns a pytree whose leaves are arrays of JAX, all of one floating dtype.
+
+    Python's numbers and NumPy's arrays are converted. NumPy's float64 is float32 without 64-bit
+    JAX, as everywhere in JAX.
+
+    **Arguments:** `arrays`: the leaves by their names.
+
+    **Raises:** `InputError` for dtypes that no scene may have, and for more than one.
+    """
+    dtypes = {name: _dtype(x) for name, x in arrays.items() if is_array(x)}
+    dtype = precision(mode(dtypes.values()))
+    for name, other in dtypes.items():
+        if other != dtype:
+            raise InputError(f"{name} must be {dtype}, as the rest is, got {other}")
+    if not any(isinstance(x, _NO_ARRAYS_OF_JAX) for x in arrays.values()):
+        return tree
+    return jax.tree.map(lambda leaf: converted(leaf, dtype), tree)
+
+
+def _dtype(array: Any) -> np.dtype:
+    """Returns an array's dtype; of NumPy's arrays that of the array that JAX makes of them."""
+    dtype = np.dtype(array.dtype)
+    of_numpy = isinstance(array, _NO_ARRAYS_OF_JAX)
+    return jax.dtypes.canonicalize_dtype(dtype) if of_numpy else dtype

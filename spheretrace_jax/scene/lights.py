@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from .arrays import color_rows, floats, vectors
+from .arrays import check_shapes, color_rows, floats, vectors
 
 
 class Lights(eqx.Module):
@@ -23,12 +23,7 @@ class Lights(eqx.Module):
         self.color = color_rows(color, self.position.shape[0])
 
     def __check_init__(self):
-        m = len(self.position)
-        if self.position.shape != (m, 3) or self.color.shape != (m, 3):
-            raise ValueError(
-                "position and color of the lights must have shape (m, 3), "
-                f"got {self.position.shape} and {self.color.shape}"
-            )
+        check_shapes("lights.", self)
 
     def __len__(self) -> int:
         return self.position.shape[0]

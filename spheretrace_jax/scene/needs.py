@@ -17,7 +17,7 @@ from ..base.types import Index
 from . import feature_tests
 from .arrays import is_traced
 from .parameters import parameter_names, traced_names
-from .scene import Scene
+from .scene import Scene, check_scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,11 +65,11 @@ def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
 
     **Returns:** needs to pass to `render(..., needs=...)`.
 
-    **Raises:** `InputError` for unknown names in `free`, for dtypes that no scene may have, and for
-    no scene at all.
+    **Raises:** `InputError` for unknown names in `free`, for scenes whose arrays do not fit, and
+    for no scene at all.
     """
     free = parameter_names(free)
-    scenes = [scene] if isinstance(scene, Scene) else list(scene)
+    scenes = [check_scene(s) for s in (scene if isinstance(scene, Iterable) else [scene])]
     if not scenes:
         raise InputError("needs must be asked of at least one scene, got none")
     found = [_needs_of(one, free) for one in scenes]
@@ -78,7 +78,6 @@ def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
 
 def _needs_of(scene: Scene, free: frozenset[str]) -> Needs:
     """Finds the needs of one scene."""
-    scene.check_dtype()
     free = free | traced_names(scene)
     spheres, planes = scene.spheres, scene.planes
 

@@ -6,7 +6,7 @@ import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
 from ..base.types import Scalar
-from .arrays import COEFFICIENTS, color_rows, floats, material_rows, misshapen, number_rows, vectors
+from .arrays import check_shapes, color_rows, floats, material_rows, number_rows, vectors
 
 
 class Planes(eqx.Module):
@@ -52,12 +52,7 @@ class Planes(eqx.Module):
         self.checker_size = number_rows(checker_size, p)
 
     def __check_init__(self):
-        p = len(self.point)
-        vectors_of_planes = ("point", "normal", "color", "checker_color")
-        for name, shape in misshapen(self, vectors_of_planes, (p, 3)):
-            raise ValueError(f"{name} of the planes must have shape ({p}, 3), got {shape}")
-        for name, shape in misshapen(self, (*COEFFICIENTS, "checker_size"), (p,)):
-            raise ValueError(f"{name} of the planes must have shape ({p},), got {shape}")
+        check_shapes("planes.", self)
 
     def __len__(self) -> int:
         return self.point.shape[0]

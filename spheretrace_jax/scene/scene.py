@@ -7,7 +7,7 @@ move silhouettes or shadow edges in the picture, where a point-sampled picture j
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -15,11 +15,12 @@ import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .arrays import converted, floats, precision
+from ..base.errors import InputError
+from .arrays import check_shapes, converted, described, floats, is_traced, precision, with_one_dtype
 from .camera import Camera
 from .lights import Lights
 from .planes import BackPlane, Planes
-from .spheres import Spheres
+from .spheres import Spheres, check_pic
 from .summary import summary
 from .texture import Texture
 
@@ -56,41 +57,24 @@ class Scene(eqx.Module):
     ):
         """Builds a scene. **Arguments:** as the fields, converted to the dtype of `spheres`.
 
-        **Raises:** `ValueError` for a texture number without a texture. `InputError`, a
-        `ValueError` too, for a dtype that no scene may have.
+        **Raises:** `InputError` for a texture number without a texture, for parts of other classes,
+        and for a dtype that no scene may have.
         """
-        fields = (
-            lights,
-            Camera() if camera is None else camera,
-            Planes() if planes is None else planes,
-            tuple(textures),
-            floats(background)[0],
-            sky,
-            back_plane,
-        )
-        fields = jax.tree.map(lambda leaf: converted(leaf, spheres.radius.dtype), fields)
-        self.spheres = spheres
-        (
-            self.lights,
-            self.camera,
-            self.planes,
-            self.textures,
-            self.background,
-            self.sky,
-            self.back_plane,
-        ) = fields
-        self.antialias = int(antialias)
-
-    def __check_init__(self):
-        for i, pic in enumerate(self.spheres.pic):
-            if not 0 <= pic <= len(self.textures):
-                raise ValueError(
-                    f"sphere {i + 1} has texture {pic}, but there are {len(self.textures)} textures"
-                )
+        self.spheres, self.lights = spheres, lights
+        self.camera = Camera() if camera is None else camera
+        self.planes = Planes() if planes is None else planes
+        self.textures, self.background = tuple(textures), floats(background)[0]
+        self.sky, self.back_plane = sky, back_plane
+        self.antialias = antialias
+        _check_parts(self)
+        self.antialias = int(antialias)  # True and False are the same
+        for name in ("lights", "camera", "planes", "textures", "background", "sky", "back_plane"):
+            convert = lambda leaf: converted(leaf, spheres.radius.dtype)
+            setattr(self, name, jax.tree.map(convert, getattr(self, name)))
 
     def __str__(self) -> str:
         """Returns a summary of at most ten lines; `repr` shows the whole pytree."""
-        return summary(self)
+        return summary(check_scene(self))
 
     @property
     def dtype(self) -> np.dtype:
@@ -113,10 +97,69 @@ class Scene(eqx.Module):
         chosen = precision(dtype)
         return jax.tree.map(lambda leaf: converted(leaf, chosen), self)
 
-    def check_dtype(self) -> None:
-        """Checks the dtype of all arrays, which `jax.tree.map` and `eqx.tree_at` can replace.
 
-        **Raises:** `InputError` for a dtype that no scene may have.
-        """
-        for leaf in jax.tree.leaves(self):
-            precision(leaf.dtype)
+def check_scene(scene: Any) -> Scene:
+    """Checks a scene: `jax.tree.map`, `equinox.tree_at` and `replace` change one without a check.
+
+    All that takes a scene from a user begins here. Classes, shapes and dtypes are looked at, which
+    are known of traced numbers too.
+
+    **Returns:** the scene, with Python's numbers and NumPy's arrays as arrays of JAX.
+
+    **Raises:** `InputError`, which names the field, what it must be, and what it is.
+    """
+    if not isinstance(scene, Scene):
+        raise InputError(f"expected a Scene, as load_scene returns, got {described(scene)}")
+    _check_parts(scene)
+    arrays = check_shapes("", scene)
+    for name, part, _ in _parts(scene):
+        arrays |= check_shapes(f"{name}.", part)
+    check_pic(scene.spheres)
+    for name, array in arrays.items():
+        if name.endswith(".image") and 0 in array.shape:
+            raise InputError(f"{name} must hold a pixel or more, got shape {array.shape}")
+    return with_one_dtype(scene, arrays)
+
+
+def known_scene(scene: Any) -> Scene:
+    """Checks a scene that is to be written. **Returns, raises:** as `check_scene`.
+
+    **Raises:** `InputError` for numbers that are traced, too.
+    """
+    scene = check_scene(scene)
+    if is_traced(scene):
+        raise InputError("a scene that JAX traces has no numbers to write: write it outside of jit")
+    return scene
+
+
+def _check_parts(scene: Scene) -> None:
+    """Checks the classes of a scene's parts, and its numbers that are static.
+
+    **Raises:** `InputError` for other classes, and for numbers out of range.
+    """
+    if not isinstance(scene.textures, tuple | list):
+        raise InputError(f"textures must be a tuple, got {described(scene.textures)}")
+    for name, part, kind in _parts(scene):
+        if not isinstance(part, kind):
+            raise InputError(f"{name} must be of class {kind.__name__}, got {described(part)}")
+    if scene.antialias not in (0, 1):
+        raise InputError(f"antialias must be 0 or 1, got {scene.antialias!r}")
+    for i, pic in enumerate(scene.spheres.pic):
+        if not 0 <= pic <= len(scene.textures):
+            raise InputError(
+                f"sphere {i + 1} has texture {pic}, but there are {len(scene.textures)} textures"
+            )
+
+
+def _parts(scene: Scene) -> Iterator[tuple[str, Any, type]]:
+    """Yields the names of a scene's parts, the parts, and the classes that these must be of."""
+    yield "spheres", scene.spheres, Spheres
+    yield "lights", scene.lights, Lights
+    yield "camera", scene.camera, Camera
+    yield "planes", scene.planes, Planes
+    for k, texture in enumerate(scene.textures):
+        yield f"textures[{k}]", texture, Texture
+    if scene.sky is not None:
+        yield "sky", scene.sky, Texture
+    if scene.back_plane is not None:
+        yield "back_plane", scene.back_plane, BackPlane

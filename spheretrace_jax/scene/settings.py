@@ -61,10 +61,11 @@ def render_settings(
 ) -> RenderSettings:
     """Checks and completes the static arguments of `render`.
 
+    **Arguments:** `scene`: a checked one.
+
     **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights,
-    shardings that divide other axes than rows, and dtypes that no scene may have.
+    and shardings that divide other axes than rows.
     """
-    scene.check_dtype()
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
         if value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")

@@ -1,11 +1,14 @@
 """`Spheres`: where they are, and their materials."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .arrays import COEFFICIENTS, floats, material_rows, misshapen, number_rows, vectors
+from ..base.errors import InputError
+from .arrays import check_shapes, floats, material_rows, number_rows, vectors
 
 
 class Spheres(eqx.Module):
@@ -33,7 +36,7 @@ class Spheres(eqx.Module):
         exponent: ArrayLike | Sequence = 20.0,
         kgr: ArrayLike | Sequence = 0.0,
         kt: ArrayLike | Sequence = 0.0,
-        pic: Sequence[int] | int = 0,
+        pic: ArrayLike | Sequence = 0,
     ):
         """Builds n spheres. **Arguments:** as the fields; one number or colour holds for all."""
         center, radius, kt, *material = floats(center, radius, kt, color, ka, kd, ks, exponent, kgr)
@@ -41,21 +44,32 @@ class Spheres(eqx.Module):
         n = self.center.shape[0]
         self.color, self.ka, self.kd, self.ks, self.exponent, self.kgr = material_rows(n, *material)
         self.radius, self.kt = number_rows(radius, n), number_rows(kt, n)
-        self.pic = (pic,) * n if isinstance(pic, int) else tuple(int(k) for k in pic)
+        pics: Any = [pic] * n if np.ndim(pic) == 0 else pic
+        self.pic = tuple(map(_whole_number, pics))
 
     def __check_init__(self):
-        n = len(self.center)
-        if self.center.shape != (n, 3) or self.color.shape != (n, 3):
-            raise ValueError(
-                "center and color of the spheres must have shape (n, 3), "
-                f"got {self.center.shape} and {self.color.shape}"
-            )
-        for name, shape in misshapen(self, ("radius", *COEFFICIENTS, "kt"), (n,)):
-            raise ValueError(f"{name} must have shape ({n},) as there are {n} spheres, got {shape}")
-        if len(self.pic) != n:
-            raise ValueError(
-                f"pic must name a texture for each of {n} spheres, got {len(self.pic)}"
-            )
+        check_shapes("spheres.", self)
+        check_pic(self)
 
     def __len__(self) -> int:
         return self.center.shape[0]
+
+
+def check_pic(spheres: Spheres) -> None:
+    """Checks the texture numbers. **Raises:** `InputError` for fewer or more than spheres."""
+    if len(spheres.pic) != len(spheres):
+        raise InputError(
+            f"spheres.pic must name a texture for each of {len(spheres)} spheres, "
+            f"got {len(spheres.pic)}"
+        )
+
+
+def _whole_number(pic: Any) -> int:
+    """Returns a texture number. **Raises:** `InputError` for all but whole numbers."""
+    try:
+        number = int(pic)
+    except (TypeError, ValueError):
+        number = None
+    if number is None or number != pic:
+        raise InputError(f"spheres.pic must hold whole numbers, got {pic!r}")
+    return number

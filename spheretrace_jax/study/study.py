@@ -11,7 +11,7 @@ from typing import Any
 import jax
 
 from ..base.errors import InputError
-from ..scene.scene import Scene
+from ..scene.scene import Scene, check_scene
 from .benchmarks.derivatives import derivatives
 from .benchmarks.fits import fits
 from .benchmarks.pictures import pictures
@@ -58,6 +58,7 @@ def study(
 
     **Raises:** `InputError` for unknown parts.
     """
+    scene = check_scene(scene)
     unknown = [part for part in parts if part not in PARTS]
     if unknown or not parts:
         got = ", ".join(unknown) or "none"

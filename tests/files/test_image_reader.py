@@ -149,7 +149,7 @@ def test_the_colours_of_a_layer_are_found_by_their_names(tmp_path):
         (("left.R", "left.G", "left.B", "right.R", "right.G", "right.B"), "left",
          "'left', 'right'"),
         (("b.red", "b.green", "b.blue", "a.r", "a.g", "a.b"), None, "'a', 'b'"),
-        (("Y", "n.X", "n.Y", "n.Z", "d.Z", "q.G"), None, "'', 'n'"),
+        (("Y", "n.Y", "d.Z", "q.G", "N.X", "N.Y", "N.Z"), None, "'', 'n'"),
     ],
 )  # fmt: skip
 def test_where_several_layers_could_be_meant_it_says_which(names, taken, others, tmp_path):

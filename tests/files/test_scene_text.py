@@ -20,6 +20,8 @@ NINE_SPHERES = Path(__file__).parents[2] / "data" / "nine_spheres.txt"
 HEADER = "0 0 500 800\n0\n"
 LIGHT = "1\n100 500 800\n"
 SPHERE = "1 2 3 40  .9 .1 0  .2 .7 .1  4  0 0 0"
+OTHER = "UTF-16 or UTF-32: save the file as UTF-8"
+WIDE = ("utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be")
 SCENE = f"{HEADER}{LIGHT}1\n{SPHERE}\n"  # the sphere stands on line 6, keywords start on line 7
 
 
@@ -77,6 +79,7 @@ LAYOUTS = {
     "Latin-1 in a comment": (SCENE + "// Größe, 1°\n").encode("latin-1"),
     "UTF-8 in a comment": SCENE + "// Größe, 1°, 球\n",
     "a byte order mark": b"\xef\xbb\xbf" + SCENE.encode(),
+    "no-break and typesetters' spaces": SCENE.replace(" ", "\u00a0").replace("3", "3\u2003\u3000"),
     "form feeds": SCENE.replace("\n", "\f\n"),
     "signs, points and exponents": SCENE.replace("500 800\n0", "+5.E+2 .8e3\n+0"),
     "white given": SCENE.replace("100 500 800", "100 500 800 1 1 1"),
@@ -162,7 +165,42 @@ MISTAKES = [
     (" \n// only this\n", "3:1: expected a scene, starting with theta, got an empty file"),
     ("\x89PNG\r\n\x1a\n\0\0", "2:1: expected text, got binary data (byte 0x1a)"),
     ("0 0 500 800\n\0", "2:1: expected text, got binary data (byte 0x00)"),
-    (SCENE.encode("utf-16"), "1:4: expected text, got binary data (byte 0x00)"),
+    *((SCENE.encode(e), f"1:1: expected text in UTF-8, got {OTHER}") for e in WIDE),
+    (
+        SCENE.replace("1 2 3", "1 \u22122 3"),
+        "6:3: expected cy, a number, got \u22122 with U+2212 (MINUS SIGN)",
+    ),
+    (
+        SCENE.replace("500", "5\u200b00"),
+        "1:6: expected mu, a number, got 5\\u200b00 with U+200B (ZERO WIDTH SPACE)",
+    ),
+    (
+        "\u200b" + SCENE,
+        "1:1: expected theta, a number, got \\u200b0 with U+200B (ZERO WIDTH SPACE)",
+    ),
+    (
+        SCENE.replace(".9", "\uff0e9"),
+        "6:11: expected R, a number, got \uff0e9 with U+FF0E (FULLWIDTH FULL STOP)",
+    ),
+    (
+        SCENE.replace("800\n0\n1\n", "800\n0\n\u0661\n"),
+        "3:1: expected numlights, a whole number from 0, got \u0661 with "
+        "U+0661 (ARABIC-INDIC DIGIT ONE)",
+    ),
+    (
+        SCENE.replace("40", "4\u041e"),
+        "6:8: expected radius, a number, got 4\u041e with U+041E (CYRILLIC CAPITAL LETTER O)",
+    ),
+    (
+        SCENE + "wind\u043ew 9\n",
+        "7:5: expected the end of the file after 1 sphere, or one of texture, background, "
+        "background_image, back_plane, plane, window, got wind\u043ew with "
+        "U+043E (CYRILLIC SMALL LETTER O)",
+    ),
+    (
+        SCENE.replace("1 2 3", "\x961 2 3").encode("latin-1"),
+        "6:1: expected cx, a number, got \\x961 with U+0096 (a control character)",
+    ),
     # the view
     ("theta 0 500 800", "1:1: expected theta, a number, got theta"),
     ("0 0 -1 800", "1:5: mu must be at least 0, got -1"),
@@ -175,7 +213,7 @@ MISTAKES = [
     ("0 0 1e999 800", "1:5: mu must be finite in float64, got 1e999"),
     ("0 0 1_0 800", "1:5: expected mu, a number, got 1_0"),
     ("0 0 0x10 800", "1:5: expected mu, a number, got 0x10"),
-    ("0 0 ٣ 800", "1:5: expected mu, a number, got ٣"),
+    ("0 0 ٣ 800", "1:5: expected mu, a number, got ٣ with U+0663 (ARABIC-INDIC DIGIT THREE)"),
     ("0 0 5 / 800", "1:7: expected distance, a number, got /"),
     # antialias and counts
     ("0 0 500 800 2", "1:13: antialias must be 0 or 1, got 2"),

@@ -11,6 +11,7 @@ import spheretrace_jax as st
 from spheretrace_jax.fit.model.parameters import Parameters
 from spheretrace_jax.fit.model.products import determined_products
 from spheretrace_jax.fit.model.target import make_target
+from spheretrace_jax.fit.solver.driver import check_solver
 from spheretrace_jax.study.benchmarks.wrong_start import wrong_start
 
 LIGHT = (100.0, 500, 800)
@@ -202,8 +203,53 @@ def test_out_of_steps():
     found = st.fit(wrong_start(truth), target, max_steps=2, **PLAIN)
     assert not found.converged and found.steps == 2
     assert "maximum number of steps" in found.result_message
-    with pytest.raises(RuntimeError, match="did not converge"):
+    with pytest.raises(RuntimeError, match="did not converge in 1 steps") as caught:
         st.fit(wrong_start(truth), target, max_steps=1, throw=True, **PLAIN)
+    assert "root" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("solver", "got"),
+    [
+        ("lm", "'lm'"),
+        (optx.Chord(1e-6, 1e-6), "a Chord"),
+        (optx.Newton(1e-6, 1e-6), "a Newton"),
+        (optx.FixedPointIteration(1e-6, 1e-6), "a FixedPointIteration"),
+        (optx.BFGS, "the class BFGS in place of one of it"),
+        (1e-6, "a float"),
+    ],
+)
+def test_what_is_no_solver_of_fits_is_refused(solver, got):
+    with pytest.raises(st.InputError, match="such as optimistix") as caught:
+        check_solver(solver)
+    assert str(caught.value).endswith(f", got {got}")
+
+
+@pytest.mark.parametrize(
+    "trace",
+    [
+        lambda fit, image: jax.jit(fit)(image),
+        lambda fit, image: jax.vmap(fit)(image[None]),
+        lambda fit, image: jax.grad(lambda x: fit(x).sum())(image),
+        lambda fit, image: jax.jit(lambda x: fit(image) * x)(1.0),
+        lambda fit, image: jax.lax.map(fit, image[None]),
+        lambda fit, image: jax.eval_shape(fit, image),
+    ],
+)
+def test_a_traced_fit_names_solution(trace):
+    scene = nine_spheres(LIGHT)
+    fit = lambda image: st.fit(scene, image, **PLAIN).scene.spheres.kd
+    with pytest.raises(st.InputError, match=r"inside solution\(found.problem\)") as caught:
+        trace(fit, jnp.full((4, 4, 3), 0.5))
+    assert "\n" not in str(caught.value)
+    traced = lambda light: fit_from(light, scene)
+    with pytest.raises(st.InputError, match="solution"):
+        jax.vmap(traced)(scene.lights.position[None])
+
+
+def fit_from(light, scene):
+    moved = eqx.tree_at(lambda s: s.lights.position, scene, light)
+    return st.fit(moved, np.full((4, 4, 3), 0.5), mask=None, **PLAIN).scene.spheres.kd
 
 
 def test_interrupted_fit():

@@ -37,11 +37,18 @@ def draw_picture(
     return np.asarray(process_allgather(found, tiled=True))
 
 
+def draw_layers(scene: st.Scene, sharding: NamedSharding | None) -> np.ndarray:
+    found = st.render_layers(scene, width=WIDTH, height=UNEVEN, sharding=sharding)
+    both = jnp.concatenate([found.normal, found.coverage[..., None]], axis=-1)
+    return np.asarray(process_allgather(both, tiled=True))
+
+
 def pictures(sharding: NamedSharding | None) -> Results:
     scene = scenes.three_spheres()
     return {
         "a height that devices divide": draw_picture(scene, HEIGHT, sharding),
         "another, 2 x 2 samples": draw_picture(scene, UNEVEN, sharding, samples=2),
+        "layers": draw_layers(scene, sharding),
     }
 
 

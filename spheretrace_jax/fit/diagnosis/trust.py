@@ -84,7 +84,7 @@ def judge(fit) -> Trust:
     if fit.interrupted:
         end = "interrupted: the best scene so far"
     elif not fit.converged:
-        end = f"NOT converged ({fit.result_message.split('.')[0].strip()})"
+        end = f"NOT converged ({fit.result_message})"
     elif not explains:
         picture = f" {worst + 1}" if len(fit.scenes) > 1 else ""
         end = f"converged, but does NOT explain picture{picture}: {unexplained:.1%} left, {where}"

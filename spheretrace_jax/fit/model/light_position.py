@@ -49,8 +49,13 @@ class LightPosition(eqx.Module):
         """Returns the least that the coordinates may be: the third's is the light at infinity."""
         has_direction = self.u_length > _AT_MIDDLE
         farthest = (1 / _FARTHEST - self.w) / jnp.where(has_direction, self.u_length, 1)
-        unbounded = jnp.full_like(self.w, -jnp.inf)
+        unbounded = jnp.full_like(self.w, -no_bound(self.w))
         return jnp.stack([unbounded, unbounded, jnp.where(has_direction, farthest, unbounded)])
+
+
+def no_bound(unknown: Float[Array, "..."]) -> float:
+    """Returns the bound of unbounded numbers: the greatest finite one, which `debug_infs` bears."""
+    return float(jnp.finfo(unknown.dtype).max)
 
 
 def light_position_at(

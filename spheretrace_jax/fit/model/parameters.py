@@ -20,7 +20,7 @@ from ...base.errors import InputError
 from ...scene.parameters import PARAMETERS
 from ...scene.scene import Scene
 from ...xla.jit import compiled
-from .light_position import LightPosition, light_position_at
+from .light_position import LightPosition, light_position_at, no_bound
 
 Values = dict[str, Float[Array, "..."]]
 
@@ -163,13 +163,13 @@ class Parameters(eqx.Module):
         """Returns the least and the greatest that the unknowns may be."""
         start = self.start()
         lower = {name: self._lower_bound(name, y) for name, y in start.items()}
-        upper = {n: jnp.full_like(y, 1.0 if n in _UNIT else jnp.inf) for n, y in start.items()}
+        upper = {n: jnp.full_like(y, 1.0 if n in _UNIT else no_bound(y)) for n, y in start.items()}
         return lower, upper
 
     def _lower_bound(self, name: str, y: Array) -> Array:
         if name == "light_position" and self.light_positions is not None:
             return jax.vmap(LightPosition.lower_bound)(self.light_positions)
-        return jnp.full_like(y, 0.0 if name in _UNIT | _ABSOLUTE else -jnp.inf)
+        return jnp.full_like(y, 0.0 if name in _UNIT | _ABSOLUTE else -no_bound(y))
 
 
 @compiled

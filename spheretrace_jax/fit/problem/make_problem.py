@@ -1,7 +1,7 @@
 """Making a `Problem` of what a user asks for: checks, settings, and one target for each scene."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -10,8 +10,9 @@ from jax.sharding import NamedSharding
 
 from ...base.errors import InputError
 from ...base.types import Highlight
+from ...scene.arrays import is_traced
 from ...scene.needs import needs
-from ...scene.scene import Scene
+from ...scene.scene import Scene, check_scene
 from ...scene.settings import render_settings
 from ...xla.sharding import gather_on_host, replicate
 from ..model.parameters import (
@@ -51,9 +52,15 @@ def make_problem(
 
     **Raises:** `InputError` for unusable scenes, targets and names.
     """
+    # inside jit new arrays are traced, even where all arguments are concrete
+    if is_traced((scene, target, counts, jnp.zeros(()))):
+        raise InputError(
+            "fit goes step by step from the host, so jit, vmap and grad cannot trace it: call it "
+            "outside, and inside solution(found.problem), the same fit as a pure function"
+        )
     check_free(free)
-    several = not isinstance(scene, Scene)
-    scenes = list(scene) if several else [scene]
+    several = isinstance(scene, Iterable)
+    scenes = [check_scene(one) for one in (scene if several else [scene])]
     target, counts = gather_on_host((target, counts))
     images = list(target) if several or isinstance(target, list | tuple) else [target]
     if len(scenes) != len(images) or not scenes:
@@ -62,7 +69,6 @@ def make_problem(
             f"{len(images)} targets"
         )
     for one in scenes:
-        one.check_dtype()
         check_present(one, free)
     names = frozenset(per_picture) | ({"exposure"} & set(free) if several else set())
     _check_shared(scenes, free, names)

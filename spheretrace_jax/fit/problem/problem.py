@@ -138,9 +138,10 @@ class Problem(eqx.Module):
 
         def fresh(parameters: Parameters, buffer: GBuffer | None) -> GBuffer | None:
             fixed = fixed_arrays(parameters.scene, parameters.free)
-            if buffer is None or self.edges_move or any(map(is_traced, fixed)):
+            if buffer is None or self.edges_move or is_traced((fixed, buffer.fixed)):
                 return None
-            same = bool(eqx.tree_equal(fixed, buffer.fixed))
+            # by NumPy: under jit JAX's comparisons are traced, of known numbers too
+            same = len(fixed) == len(buffer.fixed) and all(map(np.array_equal, fixed, buffer.fixed))
             return buffer if same else None
 
         buffers = tuple(map(fresh, self.parameters, self.buffers))

@@ -11,6 +11,8 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree, Scalar
 
+from ...base.errors import InputError
+from ...scene.arrays import described
 from ...xla.jit import compiled
 from ..normal_equations.normal_equations import NormalEquations
 from ..problem.compression import compress, compressed_residual
@@ -112,6 +114,18 @@ def _cost_after(fn: Callable, values: PyTree, args: Any, state: Any) -> Scalar:
     if hasattr(state, "f"):  # Optax's: of the values before the step
         return state.f
     return jnp.sum(fn(values, args)[0])
+
+
+def check_solver(solver: Any) -> None:
+    """Checks a fit's solver. **Raises:** `InputError` for all but least squares and minimisers."""
+    if not isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser | None):
+        got = repr(solver) if isinstance(solver, str) else described(solver)
+        if isinstance(solver, type):
+            got = f"the class {solver.__name__} in place of one of it"
+        raise InputError(
+            "solver must be a least-squares solver or a minimiser of Optimistix, such as "
+            f"optimistix.LevenbergMarquardt(rtol, atol), got {got}"
+        )
 
 
 class Driver:

@@ -132,7 +132,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     ):
         """Takes tolerances and bounds.
 
-        **Arguments:** `lower`, `upper`: pytrees like the unknowns, -inf and inf for no bound.
+        **Arguments:** `lower`, `upper`: pytrees like the unknowns, `no_bound` where there is none.
         """
         self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
         self.descent = BoundedDescent(lower, upper, cautious)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax import lax
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ...base.types import Ids, Index
 from ...base.vec import vec
@@ -64,7 +64,8 @@ class SampledPixels(eqx.Module):
     sphere: Int[Array, " pixels"]  #: the number of the sphere that a pixel shows
     image: Float[Array, "pixels 3"]
     weight: Float[Array, "pixels 3"]
-    known: Materials  #: nan where they are free
+    known: Materials  #: where they are not free; else 0
+    free: Bool[Array, "spheres 7"]  #: which materials are free
     settings: RenderSettings = eqx.field(static=True)
 
     def sums(self, terms: LightTerms) -> Float[Array, "2 pixels 3"]:
@@ -86,7 +87,6 @@ class SampledPixels(eqx.Module):
             square = square.at[:, at[:, None], at[None, :]].add(products[:, c])
             right = right.at[:, at].add(wanted[:, c])
         ridge = 1e3 * jnp.finfo(square.dtype).eps * jnp.diagonal(square, axis1=1, axis2=2) + 1e-30
-        free = jnp.isnan(self.known)
 
         def solve(_: Index, state: tuple) -> tuple:
             x, free = state
@@ -97,8 +97,7 @@ class SampledPixels(eqx.Module):
             x = x + step[..., 0]
             return jnp.maximum(x, 0), free & (x >= 0)
 
-        start = jnp.where(free, 0, self.known), free
-        return lax.fori_loop(0, _ROUNDS, solve, start)[0]
+        return lax.fori_loop(0, _ROUNDS, solve, (self.known, self.free))[0]
 
     def residual(self, terms: LightTerms) -> Float[Array, "pixels 3"]:
         """Returns the residual of the target with the best materials."""
@@ -137,11 +136,11 @@ def sample_pixels(
     padding = max(1, -(-len(chosen) // _MULTIPLE)) * _MULTIPLE - len(chosen)
     at, sphere = (jnp.asarray(np.pad(x[chosen], (0, padding))) for x in (pixels, ids))
     weight = jnp.where(jnp.arange(at.size)[:, None] < len(chosen), weight[at], 0)
-    return SampledPixels(scene, at, sphere, image[at], weight, _known(scene, free), settings)
+    return SampledPixels(scene, at, sphere, image[at], weight, *_known(scene, free), settings)
 
 
-def _known(scene: Scene, free: tuple[str, ...]) -> Materials:
-    """Returns the materials that are not free, nan for those that are."""
+def _known(scene: Scene, free: tuple[str, ...]) -> tuple[Materials, Bool[Array, "spheres 7"]]:
+    """Returns the materials that are not free, 0 for those that are, and which are."""
     s = scene.spheres
     ambient = jnp.mean(scene.lights.color, axis=0)
     parts = (
@@ -149,7 +148,8 @@ def _known(scene: Scene, free: tuple[str, ...]) -> Materials:
         (s.kd[:, None] * s.color, {"color", "kd"}),
         (s.ks[:, None], {"ks"}),
     )
-    return jnp.concatenate([jnp.full_like(x, jnp.nan) if n & {*free} else x for x, n in parts], 1)
+    is_free = jnp.concatenate([jnp.full(x.shape, bool(n & {*free})) for x, n in parts], axis=1)
+    return jnp.where(is_free, 0, jnp.concatenate([x for x, _ in parts], axis=1)), is_free
 
 
 @compiled

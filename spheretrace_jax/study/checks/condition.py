@@ -20,7 +20,7 @@ from ...fit.problem.make_problem import make_problem
 from ...fit.problem.problem import normal_at
 from ...rendering.render import draw
 from ...scene.needs import Needs
-from ...scene.scene import Scene
+from ...scene.scene import Scene, check_scene
 from .settings import double_settings
 
 # Standard deviation from which an unknown counts as loosely determined, and is named in a warning.
@@ -97,6 +97,7 @@ def check_condition(
 
     **Raises:** `InputError` for unknown names, and if the scene has no parameter to set free.
     """
+    scene = check_scene(scene)
     with jax.enable_x64(True):
         if free is None:
             free = [name for name in DEFAULT_FREE if value(scene, name).size]

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ...base.types import Highlight, Picture
 from ...rendering.render import draw
 from ...scene.needs import Needs
-from ...scene.scene import Scene
+from ...scene.scene import Scene, check_scene
 from .settings import double_settings
 
 # Step of the central differences, relative to a parameter's size. The error of the differences is
@@ -158,7 +158,7 @@ def check_gradients(
 
     **Raises:** `InputError` as `render` does.
     """
-    scene.check_dtype()
+    scene = check_scene(scene)
     with jax.enable_x64(True):
         idle = _idle(scene, every)
         scene, settings = double_settings(

@@ -10,7 +10,7 @@ import numpy as np
 from ...base.types import Highlight
 from ...rendering.render import draw
 from ...scene.needs import Needs
-from ...scene.scene import Scene
+from ...scene.scene import Scene, check_scene
 from .error_causes import CAUSES, Cause, explain
 from .settings import double_settings
 
@@ -120,6 +120,7 @@ def check_stability(
 
     **Raises:** `InputError` as `render` does.
     """
+    scene = check_scene(scene)
     with jax.enable_x64(True):
         scene, settings = double_settings(
             scene, width, height, highlight=highlight, bounces=bounces, samples=samples,
