@@ -19,7 +19,8 @@ FILES = {
 ORDER = {
     PACKAGE: "base < xla < scene < acceleration < tracing < antialiasing < rendering"
     " < files < fit < study < cli",
-    f"{PACKAGE}.fit": "model < normal_equations < problem < solver < diagnosis < fit, solution",
+    f"{PACKAGE}.fit": "model < normal_equations < problem < solver < diagnosis"
+    " < multistart, solution < fit",
     f"{PACKAGE}.study": "checks < benchmarks < study",
 }
 #: Folders that only compute, without files, plots and command line: the core, fit and study.

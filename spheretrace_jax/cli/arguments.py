@@ -1,5 +1,6 @@
 """Arguments that several commands of the program share, and how their words are read."""
 
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -99,6 +100,19 @@ class Sampling(Tracing):
 def names_in(text: str) -> tuple[str, ...]:
     """Splits names at commas."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def channels_in(option: str, text: str | None) -> float | tuple[float, ...] | None:
+    """Reads one number, or three with commas. **Raises:** `InputError`."""
+    if text is None:
+        return None
+    try:
+        one, *others = (float(word) for word in text.split(","))
+    except ValueError:
+        one, others = math.nan, []
+    if any(map(math.isnan, [one, *others])) or len(others) not in (0, 2):
+        raise InputError(f"{option} must be one number, or three with commas, got {text!r}")
+    return (one, *others) if others else one
 
 
 def check_folder(folder: Path | None) -> None:

@@ -23,6 +23,7 @@ from .arguments import (
     Size,
     Sized,
     Tracing,
+    channels_in,
     check_folder,
     names_in,
 )
@@ -139,6 +140,10 @@ class FitCommand(Sampling, Compiling):
     darkest: Annotated[
         float | None, arg(metavar="X", help="numbers of TARGET up to this do not count")
     ] = None
+    brightest: Annotated[
+        str | None,
+        arg(metavar="X|R,G,B", help="numbers of TARGET from this on are saturated: do not count"),
+    ] = None
     noise: Annotated[
         float | None, arg(metavar="X", help="the standard deviation of TARGET's numbers")
     ] = None
@@ -153,7 +158,7 @@ class FitCommand(Sampling, Compiling):
         Literal["ka", "color", "none"],
         arg(help="of scenes that look the same: ka as in SCENE, color as bright as can be, or any"),
     ] = "ka"
-    max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps")] = 100
+    max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps in all")] = 300
     report: Annotated[
         Path | None, arg(metavar="DIR", help="a folder for pictures, cost curve and a table")
     ] = None
@@ -166,6 +171,7 @@ class FitCommand(Sampling, Compiling):
         from ..fit.model.target import mean_of_boxes
 
         free = names_in(self.free)
+        brightest = channels_in("--brightest", self.brightest)
         check_one_reader(self.scene, self.target)
         if self.output != STANDARD:
             check_target(self.output)
@@ -179,7 +185,8 @@ class FitCommand(Sampling, Compiling):
             mask = self._mask(file)
         result = progress.fit_with_progress(
             scene, target, free=free, max_steps=self.max_steps, mask=mask,
-            darkest=self.darkest, noise=self.noise, loss=self.loss, shrink=self.shrink,
+            darkest=self.darkest, brightest=brightest, noise=self.noise, loss=self.loss,
+            shrink=self.shrink,
             start=self.start, gauge=self.gauge, **self.settings,
         )  # fmt: skip
         if self.output == STANDARD:

@@ -1,6 +1,5 @@
 """`fit`: finds the scene whose picture is nearest to a target picture."""
 
-import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -8,7 +7,6 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
 from jaxtyping import Array, Float, PyTree
@@ -18,37 +16,29 @@ from ..base.types import Highlight
 from ..scene.scene import Scene
 from ..xla.jit import compiled
 from .diagnosis.identifiability import Identifiability, identify
-from .diagnosis.outliers import find_outliers, resting_on_outliers
-from .diagnosis.trust import Trust, explains, judge, together
+from .diagnosis.trust import Trust, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
 from .model.parameters import GEOMETRY
 from .model.target import Loss
+from .multistart import fit_from_starts
 from .normal_equations.normal_equations import NormalEquations
 from .problem.make_problem import make_problem
 from .problem.problem import Problem, normal_at
-from .solver.driver import Driver, Progress, check_solver
+from .solver.driver import Driver, Progress, StoppedBy, check_solver
 from .solver.gauge import GAUGES, Gauge, fix_gauge
 from .solver.levenberg_marquardt import BoundedLevenbergMarquardt
 from .solver.light_search import Start, problem_starts
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
 
-# How often at most what depends on a fit's residuals, the noise or the numbers to leave out, is
-# estimated again and fitted with. More rounds cost a fit each, fewer may end before the estimate
-# settles; the next two constants end most fits earlier.
-_MOST_ROUNDS = 6
-
-# The relative change of the noise below which an estimate is the last one. It moves robust losses'
-# thresholds by as little, and estimates from a median of 10,000 numbers scatter by 1 %.
-_NOISE_CHANGE = 0.02
-
-# The part of the cost to which leaving out other numbers must lower it to be repeated. Nearer to 1
-# it is repeated where the light stays and only the numbers left out differ.
-_TRIMMING_DECREASE = 0.5
-
-
 # Limit of the remarks in a fit's summary, in lines.
 _MOST_REMARKS = 7
+
+_STOPPED = {
+    "interrupt": "interrupted",
+    "callback": "stopped by the callback",
+    "max_steps": "the maximum number of steps, max_steps, is reached",
+}
 
 
 class Fit(eqx.Module):
@@ -57,15 +47,16 @@ class Fit(eqx.Module):
     scenes: list[Scene]  #: the best scenes found, one for each picture
     exposures: list[Float[Array, " 3"]]  #: what each picture is multiplied by, per channel
     result: optx.RESULTS  #: whether the solver converged; a readable message if not
-    steps: int  #: evaluations of the picture and its Jacobian
+    steps: int  #: evaluations of the picture and its Jacobian, from all starts together
     cost: float  #: half the sum of the squared residuals
     costs: tuple[float, ...]  #: the least so far, after every step; first those of wider pixels
     left_out: int  #: how many of the targets' numbers do not count: clipped, masked or too dark
     counted: int  #: how many do
-    interrupted: bool  #: whether the user stopped it: the scene is the best so far
+    stopped_by: StoppedBy | None  #: what ended it before it was done; the scene is the best so far
     problem: Problem
     values: PyTree  #: the unknowns at the solution
     noise_given: bool  #: whether residuals are multiples of a known noise
+    brightest_given: bool = False  #: whether the user said from where on numbers are saturated
 
     def __str__(self) -> str:
         """Returns a summary of about ten lines; `repr` shows the whole pytree.
@@ -95,8 +86,15 @@ class Fit(eqx.Module):
         return self.exposures[0]
 
     @property
+    def interrupted(self) -> bool:
+        """Returns whether the user or the callback stopped it: the scene is the best so far."""
+        return self.stopped_by in ("interrupt", "callback")
+
+    @property
     def result_message(self) -> str:
-        """Returns why the solver stopped, if it did not converge."""
+        """Returns what stopped the fit, or why the solver did not converge."""
+        if self.stopped_by and (self.interrupted or not self.converged):
+            return _STOPPED[self.stopped_by]
         # more sentences follow, on root finding and linear solvers
         return " ".join(str(optx.RESULTS[self.result]).split()).split(". ")[0].rstrip(".")
 
@@ -139,13 +137,14 @@ def fit(
     weights: Any = None,
     noise: Any = None,
     darkest: float | None = None,
+    brightest: Any = None,
     loss: Loss = "square",
     shrink: int = 1,
     start: Start = "scene",
     gauge: Gauge = "ka",
     jacobian: Literal["structured", "dense"] = "structured",
     solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser | None = None,
-    max_steps: int = 100,
+    max_steps: int = 300,
     rtol: float | None = None,
     atol: float | None = None,
     throw: bool = False,
@@ -167,8 +166,7 @@ def fit(
 
     - `scene`: the start; it also fixes the dtype of the fit. 1e-8 needs float64. For several
       pictures of one world a list of scenes that differ in their lights or cameras.
-    - `target`: linear RGB of shape `(height, width, 3)`; as many as there are scenes. Numbers at 1
-      in a picture without brighter ones are clipped, as in 8- and 16-bit files, and do not count.
+    - `target`: linear RGB of shape `(height, width, 3)`; as many as there are scenes.
     - `free`: among `color ka kd ks exponent kgr kt center radius` (of all spheres),
       `light_position light_color` (of all lights), `theta phi mu distance` (of the camera) and
       `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For
@@ -182,6 +180,10 @@ def fit(
     - `noise`: the standard deviation of the target's numbers; residuals and cost are then
       multiples of it.
     - `darkest`: numbers up to `darkest` are under-exposed and do not count. 0 leaves out black.
+    - `brightest`: numbers from `brightest` on are saturated and do not count: one level, or one for
+      each channel; inf for none. By default these are numbers at 1 in a picture without brighter
+      ones, as in 8- and 16-bit files, and those at a level that a channel does not exceed, if the
+      picture falls steadily around them. `trust` asks about a level where the picture jumps.
     - `loss`: `"square"`; `"huber"` or `"cauchy"` for targets with outliers, in units of the noise,
       which is estimated from the residuals if it is not given.
     - `shrink`: fits the means of boxes of `shrink` x `shrink` pixels, of which those count whose
@@ -201,8 +203,11 @@ def fit(
       with bounds.
     - `rtol`, `atol`: the solver's tolerances on the unknowns, which are scaled to order one, and
       on the residuals; by default 1e-10 in float64 and 1e-6 in float32.
+    - `max_steps`: the limit of the steps of the whole fit, over coarse pictures, all starts and
+      whatever is solved again; the search for lights on a sample of pixels has none of these.
     - `throw`: raise an error if the solver does not converge.
-    - `callback`: called with a `Progress` after each step.
+    - `callback`: called with a `Progress` after each step. If it returns True or raises
+      StopIteration, the fit ends with the best scene so far.
     - `sharding`: how the pictures' rows lie on several devices, as for `render`: each device sums
       up the normal equations of its own rows, and what is found lies whole on all of them. Where
       devices are those of several processes, all of these call `fit` with the same arguments. A
@@ -210,10 +215,11 @@ def fit(
       (`jax.make_array_from_process_local_data`), which is sent to all of them once: rows of one
       picture, or a list of pictures as one array of shape `(pictures, height, width, 3)`.
 
-    With several pictures `mask`, `weights` and `noise` are lists, or one value for all.
+    With several pictures `mask`, `weights`, `noise`, `darkest` and `brightest` are lists, or one
+    value for all.
 
-    **Returns:** a `Fit`. A KeyboardInterrupt between two steps ends the fit with the best scene
-    so far.
+    **Returns:** a `Fit`. A KeyboardInterrupt ends the fit with the best scene so far, too; its
+    `stopped_by` says what ended it.
 
     **Warns:** `PictureWarning` of the memory that a large picture takes.
 
@@ -224,7 +230,7 @@ def fit(
     problem = make_problem(
         scene, target, tuple(free), per_picture=tuple(own), highlight=highlight, bounces=bounces,
         samples=samples, sharding=sharding, mask=mask, weights=weights, noise=noise,
-        darkest=darkest, loss=loss, shrink=shrink,
+        darkest=darkest, brightest=brightest, loss=loss, shrink=shrink,
     )  # fmt: skip
     edges = ", ".join(name for name in free if name in GEOMETRY)
     if edges and not all(p.scene.antialias for p in problem.parameters):
@@ -236,31 +242,34 @@ def fit(
         )
     if gauge not in GAUGES:
         raise InputError(f"gauge must be one of {', '.join(GAUGES)}, got {gauge!r}")
+    if max_steps < 0:
+        raise InputError(f"max_steps must be at least 0, got {max_steps}")
     tolerance = 1e-10 if problem.dtype == jnp.float64 else 1e-6
     rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
-    best = None
-    try:
-        for started in problem_starts(problem, start):
-            if solver is None:
-                bounds = started.bounds()
-                method = BoundedLevenbergMarquardt(rtol, atol, *bounds, cautious=bool(edges))
-            else:
-                method = solver
-            driver = Driver(method, jacobian == "dense", rtol + atol, max_steps, callback)
-            result = _fit_from_start(driver, started, gauge, noise)
-            if best is None or not result.cost >= best.cost:
-                best = result
-            # another start after the scene's is for what that one does not find, not for too few
-            # steps
-            if result.interrupted or (start == "scene" and result.steps >= max_steps):
-                break
-            if result.converged and explains(result.problem, result.values, result.cost):
-                break
-    except KeyboardInterrupt:  # while the next start is sought
-        if best is None:
-            raise
-        best = dataclasses.replace(best, interrupted=True)
-    assert best is not None
+
+    def method(started: Problem) -> Any:
+        if solver is not None:
+            return solver
+        return BoundedLevenbergMarquardt(rtol, atol, *started.bounds(), cautious=bool(edges))
+
+    driver = Driver(method, jacobian == "dense", rtol + atol, max_steps, callback)
+    found = fit_from_starts(driver, problem_starts(problem, start), noise is not None)
+    values, pairs = _finish(found.problem, found.values, gauge)
+    best = Fit(
+        scenes=[scene for scene, _ in pairs],
+        exposures=[exposure for _, exposure in pairs],
+        result=found.result,
+        steps=len(driver.costs),
+        cost=found.cost,
+        costs=tuple(driver.costs),
+        left_out=sum(t.image.size for t in found.problem.targets) - found.problem.counted,
+        counted=found.problem.counted,
+        stopped_by=driver.stopped_by,
+        problem=found.problem,
+        values=values,
+        noise_given=noise is not None,
+        brightest_given=brightest is not None,
+    )
     if throw and not best.interrupted and not best.converged:
         raise RuntimeError(
             f"the fit did not converge in {best.steps} steps ({best.result_message}): allow more "
@@ -273,74 +282,3 @@ def fit(
 def _finish(problem: Problem, values: PyTree, gauge: Gauge) -> tuple[PyTree, list]:
     values = fix_gauge(problem, values, gauge)
     return values, problem.scenes_at(values)
-
-
-def _fit_from_start(driver: Driver, problem: Problem, gauge: Gauge, noise: Any) -> Fit:
-    """Returns what is found from a problem's start."""
-    values = problem.start()
-    estimates_noise = problem.targets[0].loss != "square" and noise is None
-    steps = 0
-    try:
-        for _ in range(_MOST_ROUNDS if estimates_noise else 1):
-            if estimates_noise:
-                estimated = problem.with_estimated_noise(values)
-                if driver.costs and np.allclose(estimated.noise, problem.noise, rtol=_NOISE_CHANGE):
-                    break
-                problem = estimated
-            problem, values = driver.solve_and_trace(problem, values)
-            steps = len(driver.costs)
-            if driver.interrupted or not driver.converged:
-                break
-        if driver.converged and not driver.interrupted and not estimates_noise:
-            values = _past_shadow_edges(driver, problem, values)
-            steps = len(driver.costs)
-    except KeyboardInterrupt:  # between two solutions: what the first one found is kept
-        driver.interrupted = True
-        del driver.costs[steps:]
-    values, pairs = _finish(problem, values, gauge)
-    return Fit(
-        scenes=[scene for scene, _ in pairs],
-        exposures=[exposure for _, exposure in pairs],
-        result=driver.result,
-        steps=len(driver.costs),
-        cost=driver.costs[-1] if driver.costs else float("nan"),
-        costs=tuple(driver.costs),
-        left_out=sum(t.image.size for t in problem.targets) - problem.counted,
-        counted=problem.counted,
-        interrupted=driver.interrupted,
-        problem=problem,
-        values=values,
-        noise_given=noise is not None,
-    )
-
-
-def _past_shadow_edges(driver: Driver, problem: Problem, values: PyTree) -> PyTree:
-    """Fits again where single rays may hold a light on the wrong side of a shadow's edge.
-
-    As the edge moves, a picture of single rays jumps from pixel to pixel, without a derivative.
-    Least trimmed squares (Rousseeuw 1984): the few numbers that fit worst are left out, others
-    each time as long as that helps. What the rest leads to is kept if all then fit better.
-    """
-    shadows = any(s.needs.shadows and not s.antialias for s in problem.settings)
-    if not shadows or "light_position" not in values:
-        return values
-    cost, before, result = driver.costs[-1], len(driver.costs), driver.result
-    if explains(problem, values, cost) and not resting_on_outliers(
-        find_outliers(problem, values, cost), problem, values
-    ):
-        return values
-    trimmed, least = values, np.inf
-    for _ in range(_MOST_ROUNDS):
-        trimmed = driver.solve(problem.trimmed(trimmed), trimmed)
-        if driver.interrupted or not driver.costs[-1] < _TRIMMING_DECREASE * least:
-            break
-        least = driver.costs[-1]
-    after = len(driver.costs)
-    if driver.converged and not driver.interrupted:
-        trimmed = driver.solve(problem, trimmed)
-    better = driver.converged and len(driver.costs) > after and driver.costs[-1] < cost
-    # what is reported is the least cost so far, of all that counts
-    last = [min(cost, c) for c in driver.costs[after:]] if better else []
-    driver.costs[before:] = [cost] * (len(driver.costs) - before - len(last)) + last
-    driver.result = driver.result if better else result
-    return trimmed if better else values

@@ -4,7 +4,6 @@ What needs processes of its own, and protected folders, are in the catalogue (ex
 """
 
 import contextlib
-import importlib
 import re
 import signal
 import sys
@@ -21,9 +20,8 @@ from helpers.commands import FIT, REPORT, WRITING, disk_full, files, spheretrace
 import spheretrace_jax as st
 from spheretrace_jax.cli import demo
 from spheretrace_jax.files import atomic
+from spheretrace_jax.fit import multistart
 from spheretrace_jax.fit.solver import light_search
-
-fitting = importlib.import_module("spheretrace_jax.fit.fit")  # the function has the same name
 
 
 @pytest.fixture(autouse=True)
@@ -158,7 +156,7 @@ def test_a_fit_that_is_interrupted_between_two_starts_keeps_the_first(folder, mo
     scene = st.load_scene("start.txt", np.float64)
     target = st.read_image("target.exr")
     costs = []
-    monkeypatch.setattr(fitting, "explains", lambda *_: False)
+    monkeypatch.setattr(multistart, "explains", lambda *_: False)
     monkeypatch.setattr(light_search, "is_separable", lambda *_: True)
     monkeypatch.setattr(light_search, "starts_from_lights", lambda *_: interrupt())
     found = st.fit(scene, target, free=("kd", "ks"), callback=lambda p: costs.append(p.cost))
@@ -169,7 +167,7 @@ def test_a_fit_that_is_interrupted_between_two_starts_keeps_the_first(folder, mo
 def test_a_fit_that_is_interrupted_after_it_converged_keeps_what_it_found(folder, monkeypatch):
     scene = st.load_scene("start.txt", np.float64)
     target = st.read_image("target.exr")
-    monkeypatch.setattr(fitting, "_past_shadow_edges", lambda *_: interrupt())
+    monkeypatch.setattr(multistart, "_rests_on_outliers", lambda *_: interrupt())
     found = st.fit(scene, target, free=("kd", "ks"))
     truth = st.load_scene("scene.txt", np.float64)
     np.testing.assert_allclose(found.scene.spheres.kd, truth.spheres.kd, rtol=1e-6)

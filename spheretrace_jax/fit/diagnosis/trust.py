@@ -1,6 +1,7 @@
 """Trust: whether a fit converged, lies inside its bounds, and explains the picture."""
 
 import re
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from ...base.types import Picture
+from ..model.saturation import Plateau, plateaus
 from ..model.target import SIGMA_OF_MEDIAN, Target
-from ..problem.labels import joined, labels_of
+from ..problem.labels import CHANNELS, joined, labels_of, picture_suffix
 from ..problem.problem import Problem, pictures_at
 from .outliers import find_outliers, resting_on_outliers
 
@@ -41,7 +43,7 @@ class Trust(eqx.Module):
 
     ok: bool  #: converged, and explains the picture
     verdict: str  #: one sentence
-    unexplained: float  #: the structured part of the residual, as a part of the picture
+    unexplained: float  #: the structured part of the residual, as a part of the picture; at most 1
     fit: Any  #: the `Fit` itself
 
     @cached_property
@@ -81,13 +83,19 @@ def judge(fit) -> Trust:
         resting = resting_on_outliers(outliers, fit.problem, fit.values)
     misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
     left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
+    left_out += "".join(_saturation(fit))
     if fit.interrupted:
-        end = "interrupted: the best scene so far"
+        end = f"{fit.result_message}: the best scene so far"
     elif not fit.converged:
         end = f"NOT converged ({fit.result_message})"
     elif not explains:
         picture = f" {worst + 1}" if len(fit.scenes) > 1 else ""
-        end = f"converged, but does NOT explain picture{picture}: {unexplained:.1%} left, {where}"
+        left = f"{unexplained:.1%} left, {where}"
+        if unexplained >= 1:
+            left = "it is no nearer than a black one"
+        end = f"converged, but does NOT explain picture{picture}: {left}"
+        if fit.stopped_by == "max_steps":
+            end += "; max_steps is reached, not all was tried"
     elif nothing:
         end = "converged, but explains NO more of the picture than it would of noise"
     elif resting:
@@ -120,6 +128,29 @@ def explains(problem: Problem, values: PyTree, cost: float) -> bool:
 def _scale(target: Target) -> float:
     """Returns what misfits are divided by; 1 for a black picture."""
     return target.rms or 1.0
+
+
+def _saturation(fit) -> Iterator[str]:
+    """Yields words for the many numbers that stand at the top of channels."""
+    for k, target in enumerate(fit.problem.targets):
+        where = picture_suffix(k) if len(fit.problem.targets) > 1 else ""
+        image, weight = np.asarray(target.image), np.asarray(target.weight)
+        # numbers that do not count for other reasons are 0 in the image
+        tops = plateaus(image, np.full(image.shape, True))
+        count = [bool((weight[..., top.channel] > 0)[top.at].any()) for top in tops]
+        if any(not c for c in count):
+            at = [_level(top) for top, c in zip(tops, count, strict=True) if not c]
+            yield f"; saturated{where}: {joined(at)}"
+        if any(count) and not fit.brightest_given:
+            at = [_level(top) for top, c in zip(tops, count, strict=True) if c]
+            yield (
+                f"; NOTE many numbers{where} stand at the top of {joined(at)}, and count: a flat "
+                "area, or saturated? (brightest=)"
+            )
+
+
+def _level(top: Plateau) -> str:
+    return f"{CHANNELS[top.channel]} at {top.level:.6g} ({np.count_nonzero(top.at)} numbers)"
 
 
 def _at_bounds(fit) -> list[str]:
@@ -157,10 +188,10 @@ def _structure(
     square = residual[counts] ** 2
     limit = np.inf if robust else _OUTLYING**2 * SIGMA_OF_MEDIAN**2 * np.median(square)
     outliers = np.where(square > limit, square, 0)
-    structure = max(share, 0) * np.mean(square) + np.mean(outliers)
+    structure = max(share, 0) * np.mean(square - outliers) + np.mean(outliers)
     row, column = np.unravel_index(_smooth_power(residual).argmax(), residual.shape[:2])
     return (
-        float(np.sqrt(structure) / _scale(target)),
+        min(float(np.sqrt(structure) / _scale(target)), 1.0),
         f"most of it near column {column}, row {row}",
         _UNEXPLAINED_8_BIT if _has_8_bits(np.asarray(target.image)) else _UNEXPLAINED,
     )

@@ -6,7 +6,7 @@ Adjustment - A Modern Synthesis", 2000, section 4.3.
 """
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -17,10 +17,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 from ...base.errors import InputError, PictureError
 from ...base.safe_math import larger
 from ...base.types import Picture
-
-# The range of numbers that are read as clipped. White in 8 and 16 bits is 1, give or take the
-# rounding of the conversion to linear light; the next number below white in 16 bits is 1 - 3e-5.
-_NEARLY_WHITE, _WHITE = 1 - 1e-5, 1 + 5e-5
+from .saturation import from_level, saturated
 
 Loss = Literal["square", "huber", "cauchy"]
 
@@ -150,14 +147,16 @@ def make_target(
     weights: ArrayLike | None = None,
     noise: ArrayLike | None = None,
     darkest: float | None = None,
+    brightest: Any = None,
     loss: Loss = "square",
     shrink: int = 1,
 ) -> Target:
     """Checks a target picture and leaves out what is clipped.
 
     A picture none of whose numbers exceeds 1 and some of which are 1 was clipped, as 8- and 16-bit
-    files are: the numbers at 1 say "at least 1" and do not count. Pictures with brighter pixels
-    (EXR, HDR) are taken to be whole. Half precision is promoted.
+    files are: the numbers at 1 say "at least 1" and do not count. So do those at a level at which
+    a channel is clipped (`saturation.py`), unless `brightest` says from where numbers are. Half
+    precision is promoted.
 
     **Arguments:** as for `fit`.
 
@@ -195,8 +194,9 @@ def make_target(
     if bad:
         raise PictureError(f"the target must be finite, got {bad} numbers that are nan or inf")
     pixels = np.where(weight > 0, pixels, 0)
-    clipped = (pixels >= _NEARLY_WHITE) & (pixels.max() <= _WHITE)
-    if clipped.all():
+    counts = weight > 0
+    clipped = saturated(pixels, counts) if brightest is None else from_level(pixels, brightest)
+    if clipped[counts].all() and counts.any():
         raise PictureError("every number of the target is clipped: there is nothing to fit")
     weight = np.where(clipped, 0, weight)
     if darkest is not None:

@@ -1,7 +1,7 @@
 """The driver: steps a solver from the host, from a problem's start to its end."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -30,6 +30,10 @@ _LEAST_GAIN = 0.1
 # How often samples are traced again at most, and how far lights may move, in tolerances, for the
 # edges of their shadows to stay in their pixels. Fits of the lecture's scene trace twice.
 _MOST_TRACES, _STILL = 6, 10
+
+
+StoppedBy = Literal["interrupt", "callback", "max_steps"]
+"""What ended a fit before it was done: the user, the user's callback, or the number of steps."""
 
 
 class Progress(eqx.Module):
@@ -129,23 +133,38 @@ def check_solver(solver: Any) -> None:
 
 
 class Driver:
-    """Steps of a solver from the host, so that a fit shows its progress and can be interrupted.
+    """Steps of a fit's solvers from the host, so that it shows its progress and can be stopped.
 
-    After each `solve` it knows all costs so far, the last one's result, and whether the user
-    stopped it.
+    It counts the steps of all solves of a fit, and keeps the best scene so far.
     """
 
     def __init__(
-        self, solver: Any, dense: bool, tolerance: float, max_steps: int, callback: Callable | None
+        self,
+        method: Callable[[Problem], Any],
+        dense: bool,
+        tolerance: float,
+        max_steps: int,
+        callback: Callable | None,
     ):
-        self.solver, self.tolerance = solver, tolerance
+        """Takes how to solve.
+
+        **Arguments:** `method`: from the problem of a start to its solver. `dense`: whether solvers
+        see all residuals. `max_steps`: of all solves together.
+        """
+        self.method, self.dense, self.tolerance = method, dense, tolerance
         self.max_steps, self.callback = max_steps, callback
-        self.costs: list[float] = []
-        self.result, self.interrupted = optx.RESULTS.nonlinear_max_steps_reached, False
-        self.fn = _cost if isinstance(solver, optx.AbstractMinimiser) else _linear_residual
-        if dense:
-            self.fn = _dense_residual
-        search = getattr(solver, "search", None)
+        self.costs: list[float] = []  #: the least so far, after every step
+        self.result = optx.RESULTS.nonlinear_max_steps_reached
+        self.stopped_by: StoppedBy | None = None
+        self._best = np.inf, []  # the least cost before this solve, and its scenes
+        self._last: tuple[Problem | None, float] = None, np.nan  # the cost of what was solved last
+
+    def begin(self, problem: Problem) -> None:
+        """Takes the solver that suits the problem of a start."""
+        self.solver = self.method(problem)
+        minimises = isinstance(self.solver, optx.AbstractMinimiser)
+        self.fn = _dense_residual if self.dense else _cost if minimises else _linear_residual
+        search = getattr(self.solver, "search", None)
         self.coarse_to_fine = self.fn is _linear_residual and isinstance(
             search, CautiousTrustRegion
         )
@@ -155,18 +174,30 @@ class Driver:
         """Returns whether the last `solve` came to a minimum."""
         return bool(self.result == optx.RESULTS.successful)
 
-    def solve(self, problem: Problem, values: PyTree) -> PyTree:
+    def cost_at(self, problem: Problem, values: PyTree) -> float:
+        """Returns the cost of values that the last `solve` returned, for its problem or another."""
+        solved, cost = self._last
+        return cost if solved is problem else float(normal_at(problem, values).cost)
+
+    def keep(self, problem: Problem, values: PyTree, cost: float) -> None:
+        """Keeps values as the best so far, if they are, for what later steps report."""
+        if cost < self._best[0]:
+            self._best = cost, [scene for scene, _ in problem.scenes_at(values)]
+
+    def solve(self, problem: Problem, values: PyTree, aside: bool = False) -> PyTree:
         """Solves a problem, coarse pictures first at the first call.
 
-        **Returns:** the best values, also if it is interrupted.
+        **Arguments:** `aside`: of another cost than the fit's, so that nothing found is the best.
+
+        **Returns:** the best values, also if it is stopped.
         """
         coarser = problem.coarser() if self.coarse_to_fine and not self.costs else []
         step_size = None
         for coarse in coarser:
             values, step_size = self._solve(coarse, values, step_size, _COARSE_DECREASE)
-            if self.interrupted:
+            if self.stopped_by:
                 return values
-        return self._solve(problem, values, step_size)[0]
+        return self._solve(problem, values, step_size, aside=aside)[0]
 
     def solve_and_trace(self, problem: Problem, values: PyTree) -> tuple[Problem, PyTree]:
         """Solves a problem, and again with the samples of the lights found, until these stay.
@@ -178,7 +209,7 @@ class Driver:
         """
         for _ in range(_MOST_TRACES):
             before, values = values, self.solve(problem, values)
-            if not problem.edges_move or self.interrupted:
+            if not problem.edges_move or self.stopped_by:
                 break
             lights = (ravel_pytree(v["light_position"])[0] for v in (before, values))
             moved = float(np.max(np.abs(np.subtract(*map(np.asarray, lights)))))
@@ -195,6 +226,7 @@ class Driver:
         values: PyTree,
         step_size: Scalar | None,
         least_decrease: float = 0,
+        aside: bool = False,
     ) -> tuple[PyTree, Scalar | None]:
         """Solves a problem of one resolution.
 
@@ -205,17 +237,27 @@ class Driver:
         """
         self.result = optx.RESULTS.nonlinear_max_steps_reached
         before, move_before = np.inf, np.inf
+        state: Any = None
         try:
-            args = self._args(problem, values)
-            state = _init(self.solver, self.fn, args, values)
-            if step_size is not None:
-                state = eqx.tree_at(lambda s: s.search_state.step_size, state, step_size)
-            for _ in range(self.max_steps):
-                values, cost, state, move = _step(self.solver, self.fn, args, values, state)
-                self.costs.append(float(cost))
-                move = float(move)
-                self._report(problem, values, state)
-                if not np.isfinite(self.costs[-1]):
+            while True:
+                if len(self.costs) >= self.max_steps:
+                    self.stopped_by = "max_steps"
+                    break
+                # what the residual function needs where it is evaluated next
+                at = values if state is None else _next(values, state)
+                args = self._args(problem, at)
+                if state is None:
+                    state = _init(self.solver, self.fn, args, values)
+                    if step_size is not None:
+                        state = eqx.tree_at(lambda s: s.search_state.step_size, state, step_size)
+                stepped = _step(self.solver, self.fn, args, values, state)
+                cost, move = float(stepped[1]), float(stepped[3])
+                values, _, state, _ = stepped
+                self._last = problem, cost
+                self._report(problem, values, state, cost, aside)
+                if self.stopped_by:
+                    break
+                if not np.isfinite(cost):
                     self.result = optx.RESULTS.nonfinite
                     break
                 done, result = self.solver.terminate(
@@ -225,20 +267,20 @@ class Driver:
                 # that residuals stay, but compressed ones turn); or only steps are left that are
                 # so small that rounding hides what they do: a step changes the cost by its square
                 rejected = getattr(state, "num_steps_since_acceptance", None)
-                gained = before - self.costs[-1] > _LEAST_GAIN * before
+                gained = before - cost > _LEAST_GAIN * before
                 still = rejected is not None and move_before < self.tolerance and not gained
                 hidden = move < np.sqrt(np.finfo(np.float64).eps)
                 if done or still or (rejected is not None and rejected >= 2 and hidden):
                     self.result = result
                     break
-                if not rejected and before * (1 - least_decrease) < self.costs[-1] < before:
+                if not rejected and before * (1 - least_decrease) < cost < before:
                     break
-                before, move_before = self.costs[-1], move
-                args = self._args(problem, _next(values, state))
+                before, move_before = cost, move
         except KeyboardInterrupt:
-            self.interrupted = True
+            self.stopped_by = "interrupt"
+        if state is None or not least_decrease:
             return values, None
-        return values, state.search_state.step_size if least_decrease else None
+        return values, state.search_state.step_size
 
     def _args(self, problem: Problem, values: PyTree) -> Any:
         """Returns what the residual function needs where it is evaluated next."""
@@ -248,14 +290,25 @@ class Driver:
         with jax.enable_x64(True):  # as the sums are in double precision
             return _linearize(normal, values)
 
-    def _report(self, problem: Problem, values: PyTree, state: Any) -> None:
+    def _report(
+        self, problem: Problem, values: PyTree, state: Any, cost: float, aside: bool
+    ) -> None:
+        """Notes a step's cost and tells the callback, which may stop the fit."""
+        least, scenes = self._best
+        better = not aside and (cost < least or np.isinf(least))
+        self.costs.append(cost if better else least)
         if self.callback is None:
             return
-        scenes = [scene for scene, _ in problem.scenes_at(values)]
+        if better:
+            scenes = [scene for scene, _ in problem.scenes_at(values)]
         search = getattr(state, "search_state", None)
         size = float(getattr(search, "step_size", 1.0))
         damping = 1 / size if size else float("inf")
         best = scenes[0] if len(scenes) == 1 else scenes
-        steps = len(self.costs)
-        most = max(self.max_steps, steps)
-        self.callback(Progress(steps, most, self.costs[-1], damping, best))
+        progress = Progress(len(self.costs), self.max_steps, self.costs[-1], damping, best)
+        try:
+            answer = self.callback(progress)
+        except StopIteration:
+            answer = True
+        if isinstance(answer, bool | np.bool_ | jax.Array) and np.all(answer):
+            self.stopped_by = "callback"

@@ -1,0 +1,141 @@
+"""Multistart: a fit from one start after the other, until one explains the pictures."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import optimistix as optx
+from jaxtyping import PyTree
+
+from .diagnosis.outliers import find_outliers, resting_on_outliers
+from .diagnosis.trust import explains
+from .problem.problem import Problem
+from .solver.driver import Driver
+
+# How often at most what depends on a fit's residuals, the noise or the numbers to leave out, is
+# estimated again and fitted with. More rounds cost a fit each, fewer may end before the estimate
+# settles; the next two constants end most fits earlier.
+_MOST_ROUNDS = 6
+
+# The relative change of the noise below which an estimate is the last one. It moves robust losses'
+# thresholds by as little, and estimates from a median of 10,000 numbers scatter by 1 %.
+_NOISE_CHANGE = 0.02
+
+# The part of the cost to which leaving out other numbers must lower it to be repeated. Nearer to 1
+# it is repeated where the light stays and only the numbers left out differ.
+_TRIMMING_DECREASE = 0.5
+
+
+class Found(NamedTuple):
+    """What a fit came to from one of its starts."""
+
+    problem: Problem
+    values: PyTree
+    cost: float
+    result: optx.RESULTS
+
+    @property
+    def converged(self) -> bool:
+        """Returns whether it is a minimum."""
+        return bool(self.result == optx.RESULTS.successful)
+
+    @property
+    def explains(self) -> bool:
+        """Returns whether it is a minimum that explains the pictures."""
+        return self.converged and explains(self.problem, self.values, self.cost)
+
+
+def fit_from_starts(driver: Driver, starts: Iterator[Problem], noise_given: bool) -> Found:
+    """Returns the first that explains the pictures, or the best, of what starts lead to.
+
+    Solves past the edges of shadows come last: they take many steps, and another start may do
+    without them.
+    """
+    tried: list[Found] = []
+    try:
+        for started in starts:
+            driver.begin(started)
+            tried.append(_fit_from_start(driver, started, noise_given))
+            driver.keep(*tried[-1][:3])
+            if driver.stopped_by:
+                break
+            if tried[-1].explains:
+                if _rests_on_outliers(tried[-1], noise_given):
+                    tried.append(_past_shadow_edges(driver, tried[-1]))
+                return tried[-1]
+        for found in sorted(tried, key=_rank):
+            if driver.stopped_by or not _may_jump(found, noise_given):
+                break
+            driver.begin(found.problem)
+            tried.append(_past_shadow_edges(driver, found))
+            if tried[-1].explains:
+                break
+    except KeyboardInterrupt:  # between two solves, or while the next start is sought
+        if not tried:
+            raise
+        driver.stopped_by = "interrupt"
+    return min(tried, key=_rank)
+
+
+def _rank(found: Found) -> float:
+    return found.cost if np.isfinite(found.cost) else np.inf
+
+
+def _estimates_noise(problem: Problem, noise_given: bool) -> bool:
+    return problem.targets[0].loss != "square" and not noise_given
+
+
+def _fit_from_start(driver: Driver, problem: Problem, noise_given: bool) -> Found:
+    """Returns what is found from a problem's start."""
+    values, estimates_noise = problem.start(), _estimates_noise(problem, noise_given)
+    try:
+        for k in range(_MOST_ROUNDS if estimates_noise else 1):
+            if estimates_noise:
+                estimated = problem.with_estimated_noise(values)
+                if k and np.allclose(estimated.noise, problem.noise, rtol=_NOISE_CHANGE):
+                    break
+                problem = estimated
+            problem, values = driver.solve_and_trace(problem, values)
+            if driver.stopped_by or not driver.converged:
+                break
+    except KeyboardInterrupt:  # between two solves: what the first one found is kept
+        driver.stopped_by = "interrupt"
+    return Found(problem, values, driver.cost_at(problem, values), driver.result)
+
+
+def _may_jump(found: Found, noise_given: bool) -> bool:
+    """Tells whether edges of shadows may hold lights: those of single rays have no derivative."""
+    shadows = any(s.needs.shadows and not s.antialias for s in found.problem.settings)
+    noise_known = not _estimates_noise(found.problem, noise_given)
+    return shadows and noise_known and found.converged and "light_position" in found.values
+
+
+def _rests_on_outliers(found: Found, noise_given: bool) -> bool:
+    """Tells whether something is known only from numbers that do not fit, as edges may jump."""
+    if not _may_jump(found, noise_given):
+        return False
+    outliers = find_outliers(found.problem, found.values, found.cost)
+    return bool(resting_on_outliers(outliers, found.problem, found.values))
+
+
+def _past_shadow_edges(driver: Driver, found: Found) -> Found:
+    """Fits again where single rays may hold a light on the wrong side of a shadow's edge.
+
+    As the edge moves, a picture of single rays jumps from pixel to pixel, without a derivative.
+    Least trimmed squares (Rousseeuw 1984): the few numbers that fit worst are left out, others
+    each time as long as that helps. What the rest leads to is kept if all then fit better.
+    """
+    problem, trimmed, least = found.problem, found.values, np.inf
+    for _ in range(_MOST_ROUNDS):
+        without = problem.trimmed(trimmed)
+        trimmed = driver.solve(without, trimmed, aside=True)
+        cost = driver.cost_at(without, trimmed)
+        if driver.stopped_by or not cost < _TRIMMING_DECREASE * least:
+            break
+        least = cost
+    if driver.stopped_by or not driver.converged:
+        return found
+    trimmed = driver.solve(problem, trimmed)
+    cost = driver.cost_at(problem, trimmed)
+    better = driver.converged and cost < found.cost
+    return Found(problem, trimmed, cost, driver.result) if better else found
