@@ -115,6 +115,64 @@ def channels_in(option: str, text: str | None) -> float | tuple[float, ...] | No
     return (one, *others) if others else one
 
 
+def objects_in(option: str, text: str) -> dict[str, bool | list[int]]:
+    """Reads names with commas, each with the numbers of objects if not of all: `color:1,3-5,kd`.
+
+    Objects are counted from 1, as in scene files and messages, and returned from 0.
+
+    **Returns:** for each name its objects' numbers, True for all.
+
+    **Raises:** `InputError`.
+    """
+    found: dict[str, bool | list[int]] = {}
+    places: list[int] | None = None  # of the name before, if it lists objects
+    for word in names_in(text):
+        name, colon, numbers = (x.strip() for x in word.partition(":"))
+        if colon:
+            places = []
+            _once(option, found, name)[name] = places
+        elif word[0].isdigit():
+            numbers = name
+        else:
+            places = None
+            _once(option, found, name)[name] = True
+            continue
+        match = re.fullmatch(r"([1-9]\d{0,8})(?:-([1-9]\d{0,8}))?", numbers, re.ASCII)
+        if not match or places is None or int(match[2] or match[1]) < int(match[1]):
+            raise InputError(
+                f"{option}: expected NAME or NAME:1,3-5, objects counted from 1, got {word!r}"
+            )
+        places += range(int(match[1]) - 1, int(match[2] or match[1]))
+    return found
+
+
+def _once(option: str, found: dict, name: str) -> dict:
+    if name in found:
+        raise InputError(f"{option} must name {name} once")
+    return found
+
+
+def pairs_in(option: str, text: str | None, between: str) -> dict[str, tuple[float, float]]:
+    """Reads pairs of numbers by name: `radius:50..120,kd:..0.9`, of which each may be left out.
+
+    **Arguments:** `between`: what is between the numbers, `..` or `+-`.
+
+    **Raises:** `InputError`.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for word in names_in(text or ""):
+        name, colon, pair = word.partition(":")
+        low, dots, high = pair.partition(between)
+        try:
+            numbers = (float(low or "-inf"), float(high or "inf"))
+        except ValueError:
+            numbers = (math.nan, math.nan)
+        if not (colon and dots) or any(map(math.isnan, numbers)):
+            raise InputError(f"{option}: expected NAME:X{between}Y, got {word!r}")
+        _once(option, found, name.strip())[name.strip()] = numbers
+    return found
+
+
 def check_folder(folder: Path | None) -> None:
     """Checks early that a folder can be written to, or made. **Raises:** `InputError`."""
     if folder is None:

@@ -26,6 +26,8 @@ from .arguments import (
     channels_in,
     check_folder,
     names_in,
+    objects_in,
+    pairs_in,
 )
 from .cache import CacheCommand
 from .demo import DemoCommand
@@ -120,8 +122,23 @@ class FitCommand(Sampling, Compiling):
     ]
     free: Annotated[
         str,
-        arg(metavar="NAMES", help=f"what to fit, with commas: {', '.join(NAMES)}"),
+        arg(
+            metavar="NAMES",
+            help=f"what to fit, with commas: {', '.join(NAMES)}; of some objects: color:1,3-5,kd",
+        ),
     ] = ",".join(DEFAULT_FREE)
+    tie: Annotated[
+        str | None,
+        arg(metavar="NAMES", help="what objects share: kd for all, kd:1,3-5 for some"),
+    ] = None
+    bounds: Annotated[
+        str | None,
+        arg(metavar="NAME:X..Y", help="ranges of free parameters: radius:50..120,kd:..0.9"),
+    ] = None
+    priors: Annotated[
+        str | None,
+        arg(metavar="NAME:X+-S", help="means and standard deviations known before: kd:0.5+-0.1"),
+    ] = None
     dtype: Dtype = "float32"
     colorspace: Annotated[
         Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
@@ -170,13 +187,17 @@ class FitCommand(Sampling, Compiling):
         from ..files.scene_writer import checked_text
         from ..fit.model.target import mean_of_boxes
 
-        free = names_in(self.free)
+        free, tie = (objects_in(f"--{n}", getattr(self, n) or "") for n in ("free", "tie"))
+        bounds = pairs_in("--bounds", self.bounds, "..")
+        priors = pairs_in("--priors", self.priors, "+-")
         brightest = channels_in("--brightest", self.brightest)
         check_one_reader(self.scene, self.target)
         if self.output != STANDARD:
             check_target(self.output)
         check_folder(self.report)
         scene = read_scene(self.scene, self.dtype)
+        for option, given in (("--free", free), ("--tie", tie)):
+            _check_objects(option, given, scene)
         with file_to_read(self.target) as file:
             with warnings.catch_warnings():
                 if self.mask == ALPHA:  # what is transparent does not count: it need not be said
@@ -184,9 +205,9 @@ class FitCommand(Sampling, Compiling):
                 target = read_image(file, self.colorspace, layer=self.layer)
             mask = self._mask(file)
         result = progress.fit_with_progress(
-            scene, target, free=free, max_steps=self.max_steps, mask=mask,
-            darkest=self.darkest, brightest=brightest, noise=self.noise, loss=self.loss,
-            shrink=self.shrink,
+            scene, target, free=free, tie=tie, bounds=bounds, priors=priors,
+            max_steps=self.max_steps, mask=mask, darkest=self.darkest,
+            brightest=brightest, noise=self.noise, loss=self.loss, shrink=self.shrink,
             start=self.start, gauge=self.gauge, **self.settings,
         )  # fmt: skip
         if self.output == STANDARD:
@@ -197,7 +218,7 @@ class FitCommand(Sampling, Compiling):
         if self.report is not None:
             shown = mean_of_boxes(target, self.shrink)
             for file in progress.report_with_progress(
-                self.report, result, scene, shown, free, self.settings
+                self.report, result, scene, shown, tuple(free), self.settings
             ):
                 say(self.output, file)
         return 130 if result.interrupted else 0 if result.trust.ok else 1
@@ -217,6 +238,20 @@ class FitCommand(Sampling, Compiling):
         what = f"{self.target} (alpha)" if alpha else file
         say(self.output, f"{what}: {int(mask.sum())} of {mask.size} pixels count")
         return mask
+
+
+def _check_objects(option: str, given: dict[str, bool | list[int]], scene) -> None:
+    """Checks that a scene has the objects that are named. **Raises:** `InputError`."""
+    from ..fit.model.constraints import objects_of, start_of
+
+    for name, places in given.items():
+        if name not in NAMES or isinstance(places, bool):
+            continue
+        shape = start_of(scene, name).shape
+        count, kind = (len(shape) and shape[0]), objects_of(name)
+        if max(places) >= count:
+            has = f"has {kind}s 1 to {count}" if kind and count else f"has one {name}"
+            raise InputError(f"{option} {name}: the scene {has}, got {max(places) + 1}")
 
 
 @dataclass(kw_only=True)

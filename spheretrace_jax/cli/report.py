@@ -22,7 +22,7 @@ def _remarks(fit: Fit) -> list[str]:
 
 
 def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
-    """Returns a Markdown table of the free parameters, one line per object.
+    """Returns a Markdown table of the free parameters, one line per object that is not held.
 
     Columns: before, after, and the standard deviation, which is `-` for undetermined numbers.
     """
@@ -38,7 +38,10 @@ def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
             lines.append(f"| {name} | camera | {numbers} |")
             continue
         kind = "light" if name.startswith("light") else "sphere"
+        free_rows = fit.problem.parameters[0].free_numbers(name).reshape(len(before), -1)
         for i, row in enumerate(zip(before, after, spread, strict=True)):
+            if not free_rows[i].any():
+                continue
             lines.append(f"| {name} | {kind} {i + 1} | {' | '.join(map(_numbers, row))} |")
     return "\n".join(lines) + "\n"
 

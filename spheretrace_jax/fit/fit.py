@@ -1,12 +1,13 @@
 """`fit`: finds the scene whose picture is nearest to a target picture."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
 from jaxtyping import Array, Float, PyTree
@@ -18,6 +19,7 @@ from ..xla.jit import compiled
 from .diagnosis.identifiability import Identifiability, identify
 from .diagnosis.trust import Trust, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
+from .model.constraints import Free, objects_of
 from .model.parameters import GEOMETRY
 from .model.target import Loss
 from .multistart import fit_from_starts
@@ -64,7 +66,7 @@ class Fit(eqx.Module):
         It says whether to trust the fit, what was free, and what the pictures do not determine.
         """
         known, remarks = self.identifiability, together(self.trust.remarks)
-        free = ", ".join(self.problem.parameters[0].free)
+        free = ", ".join(map(self._free_words, self.problem.parameters[0].free))
         lines = [
             self.trust.verdict,
             f"free: {free}; {known.rank} of {known.free} numbers determined",
@@ -74,6 +76,14 @@ class Fit(eqx.Module):
             more = len(remarks) - _MOST_REMARKS
             lines.append(f"and {more} more remarks: print(found.trust)")
         return "\n".join(lines)
+
+    def _free_words(self, name: str) -> str:
+        """Returns a name, and of how many objects it is free if not of all."""
+        numbers = self.problem.parameters[0].free_numbers(name)
+        if numbers.all():
+            return name
+        rows = numbers.reshape(len(numbers), -1).any(axis=1)
+        return f"{name} of {np.count_nonzero(rows)} of {rows.size} {objects_of(name)}s"
 
     @property
     def scene(self) -> Scene:
@@ -128,8 +138,11 @@ def fit(
     scene: Scene | Sequence[Scene],
     target: Any,
     *,
-    free: Sequence[str] = DEFAULT_FREE,
+    free: Free = DEFAULT_FREE,
     own: Sequence[str] = (),
+    tie: Mapping[str, Any] | None = None,
+    bounds: Mapping[str, Any] | None = None,
+    priors: Mapping[str, Any] | None = None,
     highlight: Highlight = "phong",
     bounces: int = 5,
     samples: int = 1,
@@ -172,6 +185,16 @@ def fit(
       `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For
       centers, radii and the camera the scene's antialias flag must be 1, or no derivative tells
       how edges move.
+      A mapping says which objects' numbers are: `{"color": [0, 2], "kd": True}` holds all other
+      colours. Values are True, False, indices, or a boolean array of shape `(objects,)` or the
+      parameter's own.
+    - `tie`: what objects share: `{"kd": [[0, 1, 2]]}` gives three spheres one kd, `{"kd": True}`
+      all of them. Tied parameters must start alike.
+    - `bounds`: `{"radius": (50, 120)}` keeps numbers between two, in the scene's units; each may be
+      an array with a number for each object, -inf and inf for none. Not for `light_position`.
+    - `priors`: `{"kd": (mean, sigma)}` adds ((kd - mean) / sigma)² / 2 to the cost, for each number
+      or each tied group: a Gaussian prior of standard deviation sigma, in the scene's units. Needs
+      `noise`. Standard deviations and what is determined then count the priors.
     - `own`: which of these have a value for each picture, among those of lights and camera;
       parameters that start differently must be named here. Each picture has its exposure.
     - `highlight`, `bounces`, `samples`: as for `render`.
@@ -228,11 +251,12 @@ def fit(
     """
     check_solver(solver)
     problem = make_problem(
-        scene, target, tuple(free), per_picture=tuple(own), highlight=highlight, bounces=bounces,
-        samples=samples, sharding=sharding, mask=mask, weights=weights, noise=noise,
-        darkest=darkest, brightest=brightest, loss=loss, shrink=shrink,
+        scene, target, free, per_picture=tuple(own), tie=tie, limits=bounds, priors=priors,
+        highlight=highlight, bounces=bounces, samples=samples, sharding=sharding, mask=mask,
+        weights=weights, noise=noise, darkest=darkest, brightest=brightest, loss=loss,
+        shrink=shrink,
     )  # fmt: skip
-    edges = ", ".join(name for name in free if name in GEOMETRY)
+    edges = ", ".join(name for name in problem.parameters[0].free if name in GEOMETRY)
     if edges and not all(p.scene.antialias for p in problem.parameters):
         warnings.warn(
             f"{edges} free: a picture of single rays has no derivative where edges "

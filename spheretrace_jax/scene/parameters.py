@@ -69,6 +69,9 @@ PARAMETERS = (
     Parameter("background", "scene", "nonnegative"),
 )
 
+#: Those that a fit may set free, by name.
+FITTED = {p.name: p for p in PARAMETERS if p.fitted}
+
 # `needs` takes two names besides: `position`, the attribute of the lights, and `pic`, which is
 # static. Neither switches code on.
 _ACCEPTED = frozenset(p.name for p in PARAMETERS) | {"position", "pic"}

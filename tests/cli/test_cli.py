@@ -211,10 +211,33 @@ def test_fit_finds_the_scene_and_reports_it(spheretrace):
     assert all(0 < float(row[4]) < 1e-5 for row in rows)
 
 
+def test_fit_of_some_spheres(spheretrace):
+    options = "--free kd:2,ks --tie ks --bounds kd:.1..0.45 --noise .01 --priors ks:.2+-10"
+    scene = st.load_scene("start.txt", np.float64)
+    status, out, err = spheretrace(
+        *FIT, *options.split(), "--brightest", ".95,inf,1", "--report", "r"
+    )
+    assert (status, err) == (1, "") and "at its bound: sphere 2's kd" in out
+    assert "what is known of ks counts: priors, as given" in out
+    found = st.load_scene("fitted.txt", np.float64).spheres
+    np.testing.assert_array_equal(found.kd, [scene.spheres.kd[0], 0.45])
+    assert found.ks[0] == found.ks[1]
+    rows = [
+        row.split("|")[1:3]
+        for row in Path("r/report.md").read_text().splitlines()
+        if "sphere " in row and row[0] == "|"
+    ]
+    assert [(a.strip(), b.strip()) for a, b in rows] == [
+        ("kd", "sphere 2"), ("ks", "sphere 1"), ("ks", "sphere 2"),
+    ]  # fmt: skip
+
+
 def test_a_fit_that_runs_out_of_steps_is_written_and_exits_with_1(spheretrace):
     status, out, err = spheretrace(*FIT, "--free", "kd,ks", "--max-steps", "1")
     assert (status, err) == (1, "")
-    assert out.startswith("fitted.txt: NOT converged (The maximum number of steps was reached")
+    assert out.startswith(
+        "fitted.txt: NOT converged (the maximum number of steps, max_steps, is reached"
+    )
     assert " after 1 steps, " in out
     assert len(st.load_scene("fitted.txt").spheres) == 2
 
@@ -328,6 +351,66 @@ MISTAKES = {
     "no name": (
         "fit scene.txt target.exr -o out.txt --free ,",
         f"free parameters must be among {FREE}, got none",
+    ),
+    "a sphere too many": (
+        "fit scene.txt target.exr -o out.txt --free color:1-3,kd",
+        "--free color: the scene has spheres 1 to 2, got 3",
+    ),
+    "sphere 0": (
+        "fit scene.txt target.exr -o out.txt --free kd:0",
+        "--free: expected NAME or NAME:1,3-5, objects counted from 1, got 'kd:0'",
+    ),
+    "numbers without a name": (
+        "fit scene.txt target.exr -o out.txt --free kd,2",
+        "--free: expected NAME or NAME:1,3-5, objects counted from 1, got '2'",
+    ),
+    "a name without numbers": (
+        "fit scene.txt target.exr -o out.txt --free kd:",
+        "--free: expected NAME or NAME:1,3-5, objects counted from 1, got 'kd:'",
+    ),
+    "numbers backwards": (
+        "fit scene.txt target.exr -o out.txt --free kd:2-1",
+        "--free: expected NAME or NAME:1,3-5, objects counted from 1, got 'kd:2-1'",
+    ),
+    "a name twice": (
+        "fit scene.txt target.exr -o out.txt --free kd,kd:1",
+        "--free must name kd once",
+    ),
+    "a tie of different starts": (
+        "fit scene.txt target.exr -o out.txt --free kd --tie kd",
+        "kd of spheres 1, 2 is tied and must start alike, got 0.6, 0.5",
+    ),
+    "bounds without numbers": (
+        "fit scene.txt target.exr -o out.txt --free kd --bounds kd",
+        "--bounds: expected NAME:X..Y, got 'kd'",
+    ),
+    "bounds around nothing": (
+        "fit scene.txt target.exr -o out.txt --free kd --bounds kd:.9...1",
+        "bounds of kd: the lower, 0.9, is above the upper, 0.1",
+    ),
+    "bounds of what is not free": (
+        "fit scene.txt target.exr -o out.txt --free kd --bounds ka:0..1",
+        "bounds must name free parameters, got ka",
+    ),
+    "a start out of bounds": (
+        "fit scene.txt target.exr -o out.txt --free kd --bounds kd:..0.55",
+        "kd of sphere 1 starts at 0.6, outside of its bounds -inf to 0.55",
+    ),
+    "priors without noise": (
+        "fit scene.txt target.exr -o out.txt --free kd --priors kd:.5+-.1",
+        "priors need noise, against which their sigma counts: say noise too",
+    ),
+    "a prior without a deviation": (
+        "fit scene.txt target.exr -o out.txt --free kd --noise 1 --priors kd:.5+-0",
+        "priors of kd: sigma must be greater than 0, got 0",
+    ),
+    "a brightness of two channels": (
+        "fit scene.txt target.exr -o out.txt --brightest .9,.8",
+        "--brightest must be one number, or three with commas, got '.9,.8'",
+    ),
+    "a brightness in words": (
+        "fit scene.txt target.exr -o out.txt --brightest white",
+        "--brightest must be one number, or three with commas, got 'white'",
     ),
     "no steps": (
         "fit scene.txt target.exr -o out.txt --max-steps 0",

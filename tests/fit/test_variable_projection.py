@@ -5,6 +5,7 @@ import numpy as np
 from helpers.scenes import SCENES
 
 import spheretrace_jax as st
+from spheretrace_jax.fit.model.parameters import Parameters
 from spheretrace_jax.fit.model.target import make_target
 from spheretrace_jax.fit.solver.variable_projection import (
     linear_shading,
@@ -18,7 +19,7 @@ def test_linear_shading_is_the_picture():
     scene = SCENES["two_coloured_lights"]
     picture = st.render(scene, width=32, height=24)
     target = make_target(np.asarray(picture), scene.dtype)
-    sample = sample_pixels(scene, target, render_settings(scene, 32, 24), free=())
+    sample = sample_pixels(Parameters(scene, ()), target, render_settings(scene, 32, 24))
     sums = sample.sums(terms_at(sample, scene.lights.position))
     color = linear_shading(sample.materials(sums)[sample.sphere], sums)
     counts = np.asarray(sample.weight) > 0

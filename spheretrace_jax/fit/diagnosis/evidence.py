@@ -78,8 +78,13 @@ class Evidence:
         """Returns whether all that has a position or axes is free to move with the eye."""
         scene = self.scenes[0]
         fixed = len(scene.planes) or scene.back_plane or scene.sky or any(scene.spheres.pic)
-        lights = "light_position" in self.free or not len(scene.lights)
-        return "center" in self.free and lights and not fixed and len(self.scenes) == 1
+        lights = self.all_free("light_position") or not len(scene.lights)
+        return self.all_free("center") and lights and not fixed and len(self.scenes) == 1
+
+    def all_free(self, name: str) -> bool:
+        """Returns whether each number of a parameter is an unknown of its own."""
+        places = self.indices.get(name, [np.array([-1])])
+        return all((at >= 0).all() and len(np.unique(at)) == at.size for at in places)
 
     def idle_lights(self, pictures: list[int]) -> list[int]:
         """Returns the lights that reach nothing that is seen in these pictures."""
@@ -87,8 +92,12 @@ class Evidence:
         return np.flatnonzero(~lit).tolist()
 
     def indices_of(self, names: Collection[str], k: int, i: int) -> Indices:
-        """Returns the indices of object i's numbers in the unknowns of picture k, by name."""
-        return {n: np.atleast_1d(self.indices[n][k][i]) for n in sorted(names)}
+        """Returns the indices of object i's numbers in the unknowns of picture k, by name.
+
+        Without numbers that are held, and names of which all are.
+        """
+        places = {n: np.atleast_1d(self.indices[n][k][i]) for n in sorted(names)}
+        return {n: at[at >= 0] for n, at in places.items() if (at >= 0).any()}
 
     def flat(self, direction: Direction) -> Float[np.ndarray, " natural"]:
         """Returns a direction as one vector, over all pictures' free parameters.

@@ -88,6 +88,6 @@ def _sentence(why: str, indices: Indices, null: np.ndarray) -> Iterator[tuple[st
 def _null_words(name: str, null: np.ndarray) -> str:
     """Returns words for the numbers of a parameter that are null."""
     name = name.removeprefix("light_")
-    if name == "color" and not null.all():
+    if name == "color" and len(null) == len(CHANNELS) and not null.all():
         return f"color in {joined([c for c, gone in zip(CHANNELS, null, strict=True) if gone])}"
     return name

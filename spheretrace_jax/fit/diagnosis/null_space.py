@@ -34,6 +34,12 @@ class Spectrum(eqx.Module):
         """Returns the directions that do not show, as columns."""
         return self.vectors[:, self.rank :]
 
+    @property
+    def square(self) -> Float[np.ndarray, "free free"]:
+        """Returns J^T J."""
+        scaled = (self.vectors * self.values) @ self.vectors.T
+        return self.scale[:, None] * scaled * self.scale[None, :]
+
     def shown(self, directions: Float[np.ndarray, "free count"]) -> float:
         """Returns how much at most one of several directions of length 1 shows, squared."""
         return float(np.max(self.values @ (self.vectors.T @ directions) ** 2, initial=0))

@@ -7,6 +7,7 @@ a finite one all the same. The step that the solver would still take counts as w
 1e-12 may stop it long before its ks is found.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -19,7 +20,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from ...xla.jit import compiled
 from ..model.parameters import bounding_sphere
 from ..normal_equations.normal_equations import NormalEquations
-from ..problem.problem import Problem
+from ..problem.problem import Problem, normal_at
 from .null_space import Spectrum, spectrum_of
 from .null_space_reasons import Reason, null_space_reasons
 
@@ -143,12 +144,19 @@ def estimate(
     parameters = eqx.tree_at(lambda p: (p.targets, p.buffers), problem, ((), ()))
     jacobians = [np.asarray(x, np.float64) for x in _jacobians(parameters, values)]
     square, gradient = np.asarray(normal.square), np.asarray(normal.gradient)
-    spectrum = spectrum_of(square, problem.norm)
-    sentences, explained = _confirmed(
-        null_space_reasons(problem, values, spectrum.null, jacobians), spectrum
-    )
+    # what the pictures alone determine
+    priors, seen = problem.has_priors, square
+    if priors:
+        seen = np.asarray(normal_at(problem.without_priors(), values).square)
+    spectrum = spectrum_of(seen, problem.norm)
+    reasons = list(null_space_reasons(problem, values, spectrum.null, jacobians))
+    sentences, explained = _confirmed(reasons, spectrum)
     if spectrum.shown(explained) > spectrum.least:
         spectrum = spectrum.without(explained)
+    if priors:
+        spectrum = spectrum_of(spectrum.square + (square - seen), problem.norm)
+        told = [dataclasses.replace(r, certain=False) for r in reasons if r.sentence in sentences]
+        sentences, explained = _confirmed(told, spectrum)
     if noise is None and problem.targets[0].loss != "square":
         noise = float(np.mean(problem.noise))  # by the median, which outliers do not move
     elif noise is None:

@@ -14,21 +14,21 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from ...base.errors import InputError
-from ...scene.parameters import PARAMETERS
+from ...scene.parameters import FITTED
 from ...scene.scene import Scene
 from ...xla.jit import compiled
+from .constraints import Constraint
 from .light_position import LightPosition, light_position_at, no_bound
 
 Values = dict[str, Float[Array, "..."]]
 
-_FITTED = {p.name: p for p in PARAMETERS if p.fitted}
-
 
 def _accessors(owner: str) -> dict[str, Callable[[Scene], Any]]:
-    return {name: p.value for name, p in _FITTED.items() if p.owner == owner}
+    return {name: p.value for name, p in FITTED.items() if p.owner == owner}
 
 
 #: From the scene to the parameters of spheres, lights and the camera.
@@ -39,14 +39,14 @@ ACCESSORS = SPHERES | LIGHTS | CAMERA
 NAMES = (*ACCESSORS, "exposure")
 
 #: Those whose change is seen only by where edges are.
-GEOMETRY = frozenset(name for name, p in _FITTED.items() if p.moves_silhouettes)
+GEOMETRY = frozenset(name for name, p in FITTED.items() if p.moves_silhouettes)
 
 # Parameters are scaled by their range: folded into 0..1, fitted by their logarithm, or by their
 # absolute value. An exponent may be 0 but is fitted by its logarithm too.
-_UNIT = frozenset(name for name, p in _FITTED.items() if p.range == "unit")
-_ABOVE_0 = frozenset(name for name, p in _FITTED.items() if p.range == "positive")
+_UNIT = frozenset(name for name, p in FITTED.items() if p.range == "unit")
+_ABOVE_0 = frozenset(name for name, p in FITTED.items() if p.range == "positive")
 _LOGARITHMIC = _ABOVE_0 | {"exponent", "exposure"}
-_ABSOLUTE = frozenset(n for n, p in _FITTED.items() if p.range == "nonnegative") - _LOGARITHMIC
+_ABSOLUTE = frozenset(n for n, p in FITTED.items() if p.range == "nonnegative") - _LOGARITHMIC
 
 # The least exponent at the start, as 0 has no logarithm. A highlight of exponent 0.01 is constant
 # to 1 % wherever its cosine is above 0.37, so the start hardly changes; a smaller one would have a
@@ -77,7 +77,7 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
         if name == "exposure":
             continue
         if value(scene, name).size == 0:
-            raise InputError(f"{name} is free, but the scene has no {_FITTED[name].owner}")
+            raise InputError(f"{name} is free, but the scene has no {FITTED[name].owner}")
         if name in _ABOVE_0 and not (value(scene, name) > 0).all():
             raise InputError(f"{name} is free: it must start above 0")
 
@@ -95,10 +95,16 @@ class Parameters(eqx.Module):
 
     scene: Scene  #: the start; what is not free stays as it is here
     light_positions: LightPosition | None  #: one for each light, if their positions are free
+    constraints: dict[str, Constraint]  #: of names that have some; their unknowns are flat
     free: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, scene: Scene, free: tuple[str, ...]):
-        self.scene, self.free = scene, free
+    def __init__(
+        self,
+        scene: Scene,
+        free: tuple[str, ...],
+        constraints: dict[str, Constraint] | None = None,
+    ):
+        self.scene, self.free, self.constraints = scene, free, constraints or {}
         self.light_positions = None
         if "light_position" in free:
             self.light_positions = _light_positions(scene)
@@ -109,13 +115,22 @@ class Parameters(eqx.Module):
         return {name: self._start(name) for name in self.free}
 
     def _start(self, name: str) -> Array:
+        start = self._whole_start(name)
+        if name not in self.constraints:
+            return start
+        start = self.constraints[name].reduced(start)
+        return jnp.clip(start, *self._bounds(name, start))
+
+    def _whole_start(self, name: str) -> Array:
+        """Returns the unknowns at the start as if all numbers were free."""
         if name == "exposure":
             return jnp.zeros(3, self.scene.dtype)
         if name == "light_position":
             return jnp.zeros_like(self.scene.lights.position)
-        start = value(self.scene, name) / self._unit(name)
+        start = value(self.scene, name)
         if name == "exponent":
             start = jnp.maximum(start, _LEAST_EXPONENT)
+        start = start / self._unit(name)
         if name in _LOGARITHMIC:
             return jnp.log(start)
         if name in _UNIT:
@@ -140,13 +155,23 @@ class Parameters(eqx.Module):
         return {name: self._natural(name, y) for name, y in unknowns.items()}
 
     def _natural(self, name: str, y: Array) -> Array:
+        constraint = self.constraints.get(name)
+        if constraint is None:
+            return self._scaled(name, y, self._unit(name))
+        y = constraint.full(_between(y, *self._bounds(name, y)))
+        natural = self._scaled(name, y, constraint.shared(jnp.asarray(self._unit(name), y.dtype)))
+        held = jnp.ones_like(y) if name == "exposure" else value(self.scene, name)
+        return jnp.where(constraint.unknown < 0, held, natural)
+
+    def _scaled(self, name: str, y: Array, unit: Array | int) -> Array:
+        """Returns numbers in the scene's units."""
         if name == "light_position" and self.light_positions is not None:
             return jax.vmap(LightPosition.position)(self.light_positions, y)
         if name in _UNIT:
             return _fold(y)
         if name in _ABSOLUTE:
             return jnp.abs(y)
-        return (jnp.exp(y) if name in _LOGARITHMIC else y) * self._unit(name)
+        return (jnp.exp(y) if name in _LOGARITHMIC else y) * unit
 
     @compiled
     def scene_at(self, unknowns: Values) -> tuple[Scene, Float[Array, " 3"]]:
@@ -161,15 +186,73 @@ class Parameters(eqx.Module):
     @compiled
     def bounds(self) -> tuple[Values, Values]:
         """Returns the least and the greatest that the unknowns may be."""
-        start = self.start()
-        lower = {name: self._lower_bound(name, y) for name, y in start.items()}
-        upper = {n: jnp.full_like(y, 1.0 if n in _UNIT else no_bound(y)) for n, y in start.items()}
+        bounds = {name: self._bounds(name, y) for name, y in self.start().items()}
+        lower, upper = ({name: pair[i] for name, pair in bounds.items()} for i in (0, 1))
         return lower, upper
 
-    def _lower_bound(self, name: str, y: Array) -> Array:
+    def _bounds(self, name: str, y: Array) -> tuple[Array, Array]:
+        """Returns the bounds of a parameter's unknowns."""
+        constraint = self.constraints.get(name)
+        lower = jnp.full_like(y, 0.0 if name in _UNIT | _ABSOLUTE else -no_bound(y))
+        upper = jnp.full_like(y, 1.0 if name in _UNIT else no_bound(y))
         if name == "light_position" and self.light_positions is not None:
-            return jax.vmap(LightPosition.lower_bound)(self.light_positions)
-        return jnp.full_like(y, 0.0 if name in _UNIT | _ABSOLUTE else -no_bound(y))
+            lower = jax.vmap(LightPosition.lower_bound)(self.light_positions)
+            return (lower if constraint is None else constraint.reduced(lower)), upper
+        if constraint is None:
+            return lower, upper
+        unit = constraint.reduced(jnp.broadcast_to(self._unit(name), constraint.unknown.shape))
+        given = [x / unit.astype(y.dtype) for x in constraint.bounds()]
+        if name in _LOGARITHMIC:
+            given = [jnp.log(jnp.maximum(x, 0)) for x in given]
+        return jnp.maximum(lower, given[0]), jnp.minimum(upper, given[1])
+
+    def prior_residual(self, natural: Values) -> Float[Array, " natural"]:
+        """Returns how far numbers are from the means of their priors, in standard deviations.
+
+        Of all free parameters, name by name; 0 where a number has no prior.
+        """
+        parts = []
+        for name in self.free:
+            x, constraint = natural[name], self.constraints.get(name)
+            off = jnp.zeros_like(x)
+            if constraint is not None:
+                off = constraint.weight * (x - constraint.mean)
+            parts.append(off.reshape(-1))
+        return jnp.concatenate(parts)
+
+    def without_priors(self) -> "Parameters":
+        """Returns the same without priors."""
+        weights = lambda p: [c.weight for c in p.constraints.values()]
+        return eqx.tree_at(weights, self, replace_fn=jnp.zeros_like)
+
+    @property
+    def has_priors(self) -> bool:
+        """Returns whether any number has a prior."""
+        return any(np.asarray(c.weight).any() for c in self.constraints.values())
+
+    def starting_at(self, scene: Scene) -> "Parameters":
+        """Returns the same with another start, whose held numbers stay and whose tied ones agree.
+
+        Tied numbers start at their mean.
+        """
+        for name, constraint in self.constraints.items():
+            if name == "exposure":
+                continue
+            new, old = value(scene, name), value(self.scene, name)
+            at = jnp.where(constraint.unknown < 0, constraint.first.size, constraint.unknown)
+            zero = jnp.zeros(constraint.first.size, new.dtype)
+            sums, counts = (zero.at[at].add(x, mode="drop") for x in (new, jnp.ones_like(new)))
+            new = jnp.where(constraint.unknown < 0, old, constraint.full(sums / counts))
+            scene = eqx.tree_at(ACCESSORS[name], scene, new)
+        return Parameters(scene, self.free, self.constraints)
+
+    def free_numbers(self, name: str) -> Bool[np.ndarray, "*shape"]:
+        """Returns which numbers of a parameter are free, on the host."""
+        constraint = self.constraints.get(name)
+        if constraint is not None:
+            return constraint.free
+        shape = (3,) if name == "exposure" else value(self.scene, name).shape
+        return np.full(shape, name in self.free)
 
 
 @compiled
@@ -188,6 +271,17 @@ def bounding_sphere(scene: Scene) -> tuple[Float[Array, " 3"], Float[Array, ""]]
     distances = jnp.linalg.norm(spheres.center - middle[None], axis=1) + spheres.radius
     size = jnp.max(distances)
     return middle, jnp.where(size > 0, size, 1)
+
+
+def _between(y: Array, lower: Array, upper: Array) -> Array:
+    """Returns y between bounds, with a slope of 1 at both, too; mirrored at them beyond."""
+    below, above = lower > -no_bound(y), upper < no_bound(y)
+    both, least, most = below & above, jnp.where(below, lower, 0), jnp.where(above, upper, 0)
+    width = jnp.where(both & (most > least), most - least, 1)
+    folded = least + width * _fold((y - least) / width)
+    folded = jnp.where(both, folded, jnp.where(below, least + jnp.abs(y - least), y))
+    folded = jnp.where(~below & above, most - jnp.abs(most - y), folded)
+    return jnp.where((lower <= y) & (y <= upper), y, folded)
 
 
 def _fold(y: Array) -> Array:

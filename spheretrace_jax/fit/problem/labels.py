@@ -10,15 +10,27 @@ CHANNELS = ("red", "green", "blue")
 
 def labels_of(problem: Problem) -> np.ndarray:
     """Returns a label of each unknown, in the order of `ravel_pytree`."""
-    labels = []
+    labels: dict[int, str] = {}
     for name, arrays in unknown_indices(problem).items():
         for k, array in enumerate(arrays):
             suffix = picture_suffix(k) if name in problem.per_picture else ""
-            labels += [f"{_label(name, index)}{suffix}" for index in np.ndindex(array.shape)]
-    return np.asarray(labels)
+            places: dict[int, list] = {}
+            for index in np.ndindex(array.shape):
+                places.setdefault(int(array[index]), []).append(index)
+            places.pop(-1, None)
+            labels |= {i: f"{_label(name, at)}{suffix}" for i, at in places.items()}
+    return np.asarray([labels[i] for i in sorted(labels)])
 
 
-def _label(name: str, index: tuple[int, ...]) -> str:
+def _label(name: str, places: list[tuple[int, ...]]) -> str:
+    """Returns a label of one unknown, which tied numbers share."""
+    index = places[0]
+    if len(places) > 1:
+        if name == "exposure":
+            return f"the exposure of {joined([CHANNELS[i] for (i,) in places])}"
+        numbers = joined([str(at[0] + 1) for at in places])
+        kind = "sphere" if name in SPHERES else "light"
+        return f"the {name.removeprefix('light_')} of {kind}s {numbers}"
     if name in SPHERES:
         return f"sphere {index[0] + 1}'s {name}"
     if name in LIGHTS:
@@ -34,14 +46,18 @@ def picture_suffix(picture: int) -> str:
 def unknown_indices(problem: Problem) -> dict[str, list[np.ndarray]]:
     """Returns the indices of each name's numbers in the vector of unknowns, in their shape.
 
-    An array for each picture for parameters that each picture has apart, else one array.
+    -1 for numbers that are held. An array for each picture for parameters that each picture has
+    apart, else one array.
     """
     start, end, indices = problem.start(), 0, {}
     for name in sorted(start):
         indices[name] = []
-        for array in start[name] if name in problem.per_picture else [start[name]]:
+        for k, array in enumerate(start[name] if name in problem.per_picture else [start[name]]):
             size = int(np.size(array))
-            indices[name].append(np.arange(end, end + size).reshape(np.shape(array)))
+            unknown = np.arange(size).reshape(np.shape(array))
+            if name in problem.parameters[k].constraints:
+                unknown = np.asarray(problem.parameters[k].constraints[name].unknown)
+            indices[name].append(np.where(unknown < 0, -1, end + unknown))
             end += size
     return indices
 

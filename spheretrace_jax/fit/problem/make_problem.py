@@ -1,7 +1,7 @@
 """Making a `Problem` of what a user asks for: checks, settings, and one target for each scene."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +15,7 @@ from ...scene.needs import needs
 from ...scene.scene import Scene, check_scene
 from ...scene.settings import render_settings
 from ...xla.sharding import gather_on_host, replicate
+from ..model.constraints import Constraint, Free, free_names, make_constraints
 from ..model.parameters import (
     CAMERA,
     GEOMETRY,
@@ -36,19 +37,22 @@ _MAY_DIFFER = frozenset((*LIGHTS, *CAMERA, "exposure"))
 def make_problem(
     scene: Scene | Sequence[Scene],
     target: Any,
-    free: tuple[str, ...],
+    free: Free,
     *,
     bounces: int,
     samples: int = 1,
     highlight: Highlight = "phong",
     per_picture: tuple[str, ...] = (),
     sharding: NamedSharding | None = None,
+    tie: Mapping[str, Any] | None = None,
+    limits: Mapping[str, Any] | None = None,
+    priors: Mapping[str, Any] | None = None,
     **counts: Any,
 ) -> Problem:
     """Checks what a user asks for and makes the problem of it.
 
     **Arguments:** as for `fit`; `per_picture`: its `own`, to which the exposure is added where
-    there are several pictures. `counts`: as for `make_target`.
+    there are several pictures. `limits`: its `bounds`. `counts`: as for `make_target`.
 
     **Raises:** `InputError` for unusable scenes, targets and names.
     """
@@ -58,6 +62,7 @@ def make_problem(
             "fit goes step by step from the host, so jit, vmap and grad cannot trace it: call it "
             "outside, and inside solution(found.problem), the same fit as a pure function"
         )
+    asked_free, free = free, free_names(free)
     check_free(free)
     several = isinstance(scene, Iterable)
     scenes = [check_scene(one) for one in (scene if several else [scene])]
@@ -70,6 +75,8 @@ def make_problem(
         )
     for one in scenes:
         check_present(one, free)
+    if priors and counts.get("noise") is None:
+        raise InputError("priors need noise, against which their sigma counts: say noise too")
     names = frozenset(per_picture) | ({"exposure"} & set(free) if several else set())
     _check_shared(scenes, free, names)
     of_pictures = {
@@ -90,11 +97,24 @@ def make_problem(
         targets.append(made)
     warn_of_memory(settings, scenes[0].dtype.itemsize, counts.get("shrink", 1))
     scenes, targets = replicate((scenes, targets), settings[0].sharding)
-    parameters = tuple(Parameters(one, free) for one in scenes)
+    restricted = _constraints(scenes, asked_free, (tie or {}, limits or {}, priors or {}), names)
+    restricted = replicate(restricted, settings[0].sharding)
+    pairs = zip(scenes, restricted, strict=True)
+    parameters = tuple(Parameters(one, free, constraints) for one, constraints in pairs)
     # of all pixels: the target of a problem may be replaced by one of which others count
     buffer = lambda scene, settings: make_gbuffer(scene, settings, free) if fixed else None
     buffers = tuple(map(buffer, scenes, settings))
     return Problem(parameters, tuple(targets), tuple(settings), buffers, names)
+
+
+def _constraints(
+    scenes: list[Scene], free: Free, asked: tuple[Mapping, Mapping, Mapping], own: frozenset[str]
+) -> list[dict[str, Constraint]]:
+    """Returns the constraints of each picture's parameters, the priors of shared ones once."""
+    found = [make_constraints(scene, free, *asked) for scene in scenes]
+    without = lambda c: eqx.tree_at(lambda c: c.weight, c, jnp.zeros_like(c.weight))
+    rest = [{n: c if n in own else without(c) for n, c in some.items()} for some in found[1:]]
+    return [*found[:1], *rest]
 
 
 def _for_each(name: str, value: Any, count: int) -> list:

@@ -71,10 +71,30 @@ class Problem(eqx.Module):
         return [p.scene_at(self.picture_unknowns(values, k)) for k, p in enumerate(self.parameters)]
 
     def residual(self, values: PyTree) -> Float[Array, " numbers"]:
-        """Returns all pictures' residuals, flat."""
+        """Returns all pictures' residuals, flat, and those of the priors."""
         pairs = zip(self.targets, self.pictures(values), strict=True)
         residuals = [target.residual(*picture).reshape(-1) for target, picture in pairs]
+        residuals += [self._prior_residual(values, k) for k in self._constrained]
         return jnp.concatenate(residuals)
+
+    @property
+    def _constrained(self) -> list[int]:
+        """Returns the pictures whose parameters may have priors."""
+        return [k for k, p in enumerate(self.parameters) if p.constraints]
+
+    def _prior_residual(self, values: PyTree, k: int) -> Float[Array, " natural"]:
+        parameters = self.parameters[k]
+        return parameters.prior_residual(parameters.natural(self.picture_unknowns(values, k)))
+
+    @property
+    def has_priors(self) -> bool:
+        """Returns whether any parameter has a prior."""
+        return any(p.has_priors for p in self.parameters)
+
+    def without_priors(self) -> "Problem":
+        """Returns the problem of the pictures alone."""
+        parameters = tuple(p.without_priors() for p in self.parameters)
+        return eqx.tree_at(lambda p: p.parameters, self, parameters)
 
     def starting_at(self, scenes: Sequence[Scene]) -> "Problem":
         """Returns the problem with other starts.
@@ -89,9 +109,8 @@ class Problem(eqx.Module):
             names = [n for n in self.parameters[0].free if n not in shared]
             leaves = lambda s: [ACCESSORS[name](s) for name in names]
             starts = [eqx.tree_at(leaves, p.scene, leaves(first)) for p in self.parameters]
-        parameters = tuple(
-            Parameters(s, p.free) for s, p in zip(starts, self.parameters, strict=True)
-        )
+        pairs = zip(starts, self.parameters, strict=True)
+        parameters = tuple(p.starting_at(scene) for scene, p in pairs)
         return eqx.tree_at(lambda p: p.parameters, self, parameters)
 
     def coarser(self) -> "list[Problem]":
@@ -205,8 +224,16 @@ class Problem(eqx.Module):
                 by_parameters.cost,
             )
             sums.append(by_unknowns)
+        sums += [self._prior_normal(values, k, sums[0].cost.dtype) for k in self._constrained]
         total = jax.tree.map(lambda *x: sum(x[1:], x[0]), *sums)
         return eqx.tree_at(lambda n: n.pictures, total, tuple(pictures))
+
+    def _prior_normal(self, values: PyTree, k: int, dtype: np.dtype) -> NormalEquations:
+        """Returns the part of picture k's priors: one more row for each number."""
+        y, unravel = ravel_pytree(values)
+        residual = lambda y: self._prior_residual(unravel(y), k)
+        r, jacobian = (x.astype(dtype) for x in (residual(y), jax.jacfwd(residual)(y)))
+        return NormalEquations(jacobian.T @ jacobian, jacobian.T @ r, r @ r / 2)
 
     def parameter_jacobian(self, values: PyTree, k: int) -> Float[Array, "natural free"]:
         """Returns the derivatives of picture k's free parameters by the unknowns.

@@ -15,7 +15,8 @@ from jaxtyping import Float, Int
 from ...base.errors import InputError
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
-from ..model.parameters import GEOMETRY, bounding_sphere
+from ..model.constraints import Constraint
+from ..model.parameters import GEOMETRY, Parameters, bounding_sphere
 from ..model.target import Target
 from ..problem.problem import Problem
 from .variable_projection import (
@@ -62,14 +63,13 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
         raise InputError(
             f"start {start} needs to know how many lights there are, the scene has none"
         )
+    elif not _lights_apart(problem):
+        raise InputError(f"start {start} does not know lights whose positions are tied")
     starts_of = starts_from_nothing if start == "auto" else starts_from_lights
     pictures = zip(problem.parameters, problem.targets, problem.settings, strict=True)
     if "light_position" not in problem.per_picture:
         pictures = [next(pictures)]
-    scenes = [
-        starts_of(parameters.scene, target, settings, free)
-        for parameters, target, settings in pictures
-    ]
+    scenes = [starts_of(*picture) for picture in pictures]
     for start_scenes in zip(*scenes, strict=False):
         started = problem.starting_at(start_scenes)
         yield started.traced_at(started.start()) if problem.edges_move else started
@@ -86,31 +86,44 @@ def is_separable(problem: Problem) -> bool:
         not s.needs.textures and not (s.bounces and s.needs.bounces) for s in problem.settings
     )
     square = all(t.loss == "square" for t in problem.targets)
-    return lights_only and linear and square and len(parameters.scene.spheres) > 0
+    apart = _lights_apart(problem)
+    return lights_only and apart and linear and square and len(parameters.scene.spheres) > 0
+
+
+def _lights_apart(problem: Problem) -> bool:
+    """Tells whether the positions of all lights are unknowns of their own, or held."""
+    constraints = (p.constraints.get("light_position") for p in problem.parameters)
+    return not any(c is not None and c.tied for c in constraints)
+
+
+def _of_lights(parameters: Parameters) -> dict[str, Constraint]:
+    return {n: c for n, c in parameters.constraints.items() if n == "light_position"}
 
 
 def starts_from_lights(
-    scene: Scene, target: Target, settings: RenderSettings, free: tuple[str, ...]
+    parameters: Parameters, target: Target, settings: RenderSettings
 ) -> Iterator[Scene]:
     """Yields one scene to start from: the lights downhill from where they are in this scene."""
-    samples = sample_pixels(scene, target, settings, free)
-    lights = scene.lights.position
-    if "light_position" in free:
-        lights = refine_lights(samples, lights)
-    yield scene_with(samples, free, lights)
+    samples = sample_pixels(parameters, target, settings)
+    lights = parameters.scene.lights.position
+    if "light_position" in parameters.free:
+        lights = refine_lights(samples, lights, _of_lights(parameters))
+    yield scene_with(samples, parameters, lights)
 
 
 def starts_from_nothing(
-    scene: Scene, target: Target, settings: RenderSettings, free: tuple[str, ...]
+    parameters: Parameters, target: Target, settings: RenderSettings
 ) -> Iterator[Scene]:
     """Yields scenes to start from, one after the other, the most promising first.
 
-    **Arguments:** `scene`: its geometry, number of lights, and what is not free, are used.
+    **Arguments:** `parameters`: of their scene the geometry, the number of lights, and what is not
+    free, are used.
     """
-    if "light_position" not in free:
-        yield from starts_from_lights(scene, target, settings, free)
+    if "light_position" not in parameters.free:
+        yield from starts_from_lights(parameters, target, settings)
         return
-    samples = sample_pixels(scene, target, settings, free)
+    scene, samples = parameters.scene, sample_pixels(parameters, target, settings)
+    free = np.flatnonzero(parameters.free_numbers("light_position").any(axis=1)).tolist()
     middle, size = (np.asarray(x, np.float64) for x in bounding_sphere(scene))
     grid = np.concatenate(
         [middle + size * distance * _directions(_DIRECTIONS) for distance in _DISTANCES]
@@ -118,20 +131,25 @@ def starts_from_nothing(
     best = lambda terms, among, k: int(np.argmin(projected_costs(samples, terms, among, k)))
     grid_terms, count = try_lights(samples, grid), len(scene.lights)
     dark = jnp.zeros((count, *grid_terms.shape[1:]), grid_terms.dtype)
-    first = projected_costs(samples, dark, grid_terms, 0)
+    known = np.asarray(scene.lights.position, np.float64)
+    if len(free) < count:
+        dark = try_lights(samples, known).at[np.array(free)].set(0)
+    first = projected_costs(samples, dark, grid_terms, free[0])
     for i in _spread(grid - middle, np.argsort(first))[:_STARTS]:
-        lights, terms = np.repeat(grid[i][None], count, axis=0), dark.at[0].set(grid_terms[i])
-        for k in [*range(1, count), *range(count if count > 1 else 0)]:
+        lights, terms = known.copy(), dark.at[free[0]].set(grid_terms[i])
+        lights[free] = grid[i]
+        for k in [*free[1:], *(free if len(free) > 1 else [])]:
             j = best(terms, grid_terms, k)
             lights[k], terms = grid[j], terms.at[k].set(grid_terms[j])
         for angle in _ZOOMS:
-            for k in range(count):
+            for k in free:
                 near = middle + _neighbors(lights[k] - middle, np.radians(angle))
                 near_terms = try_lights(samples, near)
                 j = best(terms, near_terms, k)
                 lights[k], terms = near[j], terms.at[k].set(near_terms[j])
-        refined = refine_lights(samples, jnp.asarray(lights, scene.dtype))
-        yield scene_with(samples, free, refined)
+        lights = jnp.asarray(lights, scene.dtype)
+        refined = refine_lights(samples, lights, _of_lights(parameters))
+        yield scene_with(samples, parameters, refined)
 
 
 def _directions(count: int) -> Float[np.ndarray, "count 3"]:

@@ -28,6 +28,7 @@ from ...tracing.context import TraceContext, build_context
 from ...tracing.path import light_terms_at
 from ...tracing.queries import closest_hit
 from ...xla.jit import compiled
+from ..model.constraints import Constraint
 from ..model.parameters import Parameters
 from ..model.target import Target
 from .levenberg_marquardt import BoundedLevenbergMarquardt
@@ -119,9 +120,10 @@ def linear_shading(materials: Materials, sums: Float[Array, "2 pixels 3"]) -> Ar
 
 
 def sample_pixels(
-    scene: Scene, target: Target, settings: RenderSettings, free: tuple[str, ...]
+    parameters: Parameters, target: Target, settings: RenderSettings
 ) -> SampledPixels:
     """Samples the pixels that count and show spheres; more of each small sphere's."""
+    scene = parameters.scene
     settings = dataclasses.replace(settings, bounces=0, antialias=False, samples=1)
     weight, image = target.weight.reshape(-1, 3), target.image.reshape(-1, 3)
     pixels = np.flatnonzero((np.asarray(weight) > 0).any(axis=1)).astype(np.int32)
@@ -136,19 +138,21 @@ def sample_pixels(
     padding = max(1, -(-len(chosen) // _MULTIPLE)) * _MULTIPLE - len(chosen)
     at, sphere = (jnp.asarray(np.pad(x[chosen], (0, padding))) for x in (pixels, ids))
     weight = jnp.where(jnp.arange(at.size)[:, None] < len(chosen), weight[at], 0)
-    return SampledPixels(scene, at, sphere, image[at], weight, *_known(scene, free), settings)
+    known, is_free = _known(parameters)
+    return SampledPixels(scene, at, sphere, image[at], weight, known, is_free, settings)
 
 
-def _known(scene: Scene, free: tuple[str, ...]) -> tuple[Materials, Bool[Array, "spheres 7"]]:
+def _known(parameters: Parameters) -> tuple[Materials, Bool[Array, "spheres 7"]]:
     """Returns the materials that are not free, 0 for those that are, and which are."""
-    s = scene.spheres
-    ambient = jnp.mean(scene.lights.color, axis=0)
+    s = parameters.scene.spheres
+    ambient = jnp.mean(parameters.scene.lights.color, axis=0)
+    color, ka, kd, ks = map(parameters.free_numbers, ("color", "ka", "kd", "ks"))
     parts = (
-        (s.ka[:, None] * s.color * ambient[None], {"color", "ka"}),
-        (s.kd[:, None] * s.color, {"color", "kd"}),
-        (s.ks[:, None], {"ks"}),
+        (s.ka[:, None] * s.color * ambient[None], color | ka[:, None]),
+        (s.kd[:, None] * s.color, color | kd[:, None]),
+        (s.ks[:, None], ks[:, None]),
     )
-    is_free = jnp.concatenate([jnp.full(x.shape, bool(n & {*free})) for x, n in parts], axis=1)
+    is_free = jnp.concatenate([jnp.asarray(free) for _, free in parts], axis=1)
     return jnp.where(is_free, 0, jnp.concatenate([x for x, _ in parts], axis=1)), is_free
 
 
@@ -178,11 +182,16 @@ def terms_at(sample: SampledPixels, positions: Float[Array, "lights 3"]) -> Ligh
 
 @compiled
 def refine_lights(
-    sample: SampledPixels, lights: Float[Array, "lights 3"]
+    sample: SampledPixels,
+    lights: Float[Array, "lights 3"],
+    constraints: dict[str, Constraint],
 ) -> Float[Array, "lights 3"]:
-    """Moves lights downhill to where the picture is nearest to the target."""
+    """Moves lights downhill to where the picture is nearest to the target.
+
+    **Arguments:** `constraints`: of the lights' positions.
+    """
     scene = eqx.tree_at(lambda s: s.lights.position, sample.scene, lights)
-    parameters = Parameters(scene, ("light_position",))
+    parameters = Parameters(scene, ("light_position",), constraints)
 
     def residual(values: PyTree, args: tuple) -> Float[Array, "pixels 3"]:
         sample, parameters = args
@@ -205,7 +214,7 @@ def _positions(parameters: Parameters, values: PyTree) -> Float[Array, "lights 3
 
 
 def scene_with(
-    sample: SampledPixels, free: tuple[str, ...], lights: Float[Array, "lights 3"]
+    sample: SampledPixels, parameters: Parameters, lights: Float[Array, "lights 3"]
 ) -> Scene:
     """Returns the scene with these lights and the materials that suit them best."""
     x = np.asarray(_materials(sample, try_lights(sample, np.asarray(lights))), np.float64)
@@ -213,17 +222,15 @@ def scene_with(
     ambient = np.mean(np.asarray(scene.lights.color, np.float64), axis=0)
     a = x[:, :3] / np.where(ambient > 0, ambient, 1)
     b, seen = x[:, 3:6], a + x[:, 3:6]
-    if "color" in free:
-        brightest = np.maximum(seen.max(axis=1, keepdims=True), 1e-6)
-        color = np.clip(seen / brightest, 0, 1) * np.clip(brightest * _BRIGHTER, _DARKEST_COLOR, 1)
-    else:
-        color = np.asarray(spheres.color, np.float64)
+    brightest = np.maximum(seen.max(axis=1, keepdims=True), 1e-6)
+    color = np.clip(seen / brightest, 0, 1) * np.clip(brightest * _BRIGHTER, _DARKEST_COLOR, 1)
+    color = np.where(parameters.free_numbers("color"), color, np.asarray(spheres.color))
     square = np.maximum(np.sum(color**2, axis=1), 1e-12)
     ka, kd = (np.clip(np.sum(t * color, axis=1) / square, 0, 1) for t in (a, b))
     new = {"color": color, "ka": ka, "kd": kd, "ks": np.clip(x[:, 6], 0, 1)}
     shown = np.isin(np.arange(len(spheres)), np.asarray(sample.sphere))
     values = [lights]
-    names = [name for name in new if name in free]
+    names = [name for name in new if name in parameters.free]
     for name in names:  # of what is not seen the start is kept
         old = getattr(spheres, name)
         values.append(np.where(shown[:, None] if old.ndim > 1 else shown, new[name], old))

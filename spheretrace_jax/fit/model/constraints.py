@@ -1,0 +1,268 @@
+"""Constraints: which numbers of free parameters are held, tied, bounded, or known beforehand.
+
+Held and tied numbers are one linear map from a solver's unknowns to all numbers of a parameter: a
+gather by `Constraint.unknown`. Normal equations of all numbers are restricted by the map's
+derivative (`Problem.parameter_jacobian`): columns of tied numbers add up, those of held ones go.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
+
+from ...base.errors import InputError
+from ...scene.parameters import FITTED
+from ...scene.scene import Scene
+
+Free = Sequence[str] | Mapping[str, Any]
+"""Names of free parameters, or which objects' numbers are free by name."""
+
+#: What the rows of parameters are, by their owner.
+OBJECTS = {"spheres": "sphere", "lights": "light", "scene": "channel"}
+
+
+class Constraint(eqx.Module):
+    """What restricts the numbers of one parameter."""
+
+    unknown: Int[Array, "*shape"]  #: the unknown that each number is; -1 where it is held
+    first: Int[Array, " unknowns"]  #: the place of the first number that each unknown is
+    lower: Float[Array, "*shape"]  #: in the scene's units; -inf where there is none
+    upper: Float[Array, "*shape"]
+    mean: Float[Array, "*shape"]  #: of the Gaussian prior
+    weight: Float[Array, "*shape"]  #: 1 / the prior's standard deviation, 0 where there is none
+
+    def full(self, y: Shaped[Array, " unknowns"]) -> Shaped[Array, "*shape"]:
+        """Returns the unknown of each number; of held ones any."""
+        return y[jnp.maximum(self.unknown, 0)]
+
+    def reduced(self, x: Shaped[Array, "*shape"]) -> Shaped[Array, " unknowns"]:
+        """Returns the first number of each unknown."""
+        return x.reshape(-1)[self.first]
+
+    def shared(self, x: Shaped[Array, "..."]) -> Shaped[Array, "*shape"]:
+        """Returns, for each number, the first number of its unknown."""
+        return self.full(self.reduced(jnp.broadcast_to(x, self.unknown.shape)))
+
+    def bounds(self) -> tuple[Float[Array, " unknowns"], Float[Array, " unknowns"]]:
+        """Returns the bounds of each unknown, those of all its numbers, in the scene's units."""
+        size = self.first.size
+        at = jnp.where(self.unknown < 0, size, self.unknown)
+        unbounded = jnp.full(size, jnp.inf, self.lower.dtype)
+        lower = (-unbounded).at[at].max(self.lower, mode="drop")
+        return lower, unbounded.at[at].min(self.upper, mode="drop")
+
+    @property
+    def free(self) -> np.ndarray:
+        """Returns which numbers are free, on the host."""
+        return np.asarray(self.unknown >= 0)
+
+    @property
+    def tied(self) -> bool:
+        """Returns whether several numbers are one unknown."""
+        return bool(np.count_nonzero(self.free) > self.first.size)
+
+
+def free_names(free: Free) -> tuple[str, ...]:
+    """Returns the names of free parameters: those of a mapping that are not False."""
+    if not isinstance(free, Mapping):
+        return tuple([free] if isinstance(free, str) else free)
+    return tuple(name for name, chosen in free.items() if not _is(chosen, False))
+
+
+def make_constraints(
+    scene: Scene,
+    free: Free,
+    tie: Mapping[str, Any],
+    bounds: Mapping[str, Any],
+    priors: Mapping[str, Any],
+) -> dict[str, Constraint]:
+    """Returns the constraints of free parameters, by name; none of those that have none.
+
+    **Arguments:** as for `fit`.
+
+    **Raises:** `InputError` for names that are not free, objects that the scene does not have, and
+    starts that no constraint allows.
+    """
+    names = free_names(free)
+    for option, given in (("tie", tie), ("bounds", bounds), ("priors", priors)):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{option} must map names of free parameters, got {given!r}")
+        unknown = sorted(set(given) - set(names))
+        if unknown:
+            raise InputError(f"{option} must name free parameters, got {', '.join(unknown)}")
+    found = {}
+    for name in names:
+        chosen = free[name] if isinstance(free, Mapping) else True
+        if not _is(chosen, True) or name in tie or name in bounds or name in priors:
+            start = start_of(scene, name)
+            unknown, first = _unknowns(name, start, chosen, tie.get(name))
+            limits = _bounds(name, start, unknown, bounds.get(name), scene.dtype)
+            prior = _prior(name, start, priors.get(name))
+            for x in prior:
+                if ((x.reshape(-1)[first][unknown] != x) & (unknown >= 0)).any():
+                    raise InputError(f"priors of {name} must be the same where {name} is tied")
+            # a prior is one statement on an unknown, whatever the number of objects that share it
+            once = np.isin(np.arange(start.size), first).reshape(start.shape)
+            numbers = (*limits, prior[0], np.where(once, prior[1], 0))
+            places = jnp.asarray(unknown, jnp.int32), jnp.asarray(first, jnp.int32)
+            found[name] = Constraint(*places, *(jnp.asarray(x, scene.dtype) for x in numbers))
+    return found
+
+
+def start_of(scene: Scene, name: str) -> np.ndarray:
+    """Returns the numbers of a parameter at the start; of the exposure 1 per channel."""
+    return np.ones(3) if name == "exposure" else np.asarray(FITTED[name].value(scene), np.float64)
+
+
+def objects_of(name: str) -> str:
+    """Returns a word for one of the objects that a parameter has rows for; "" for the camera's."""
+    return "channel" if name == "exposure" else OBJECTS.get(FITTED[name].owner, "")
+
+
+def _is(chosen: Any, value: bool) -> bool:
+    return isinstance(chosen, bool | np.bool_) and bool(chosen) == value
+
+
+def _unknowns(name: str, start: np.ndarray, chosen: Any, tie: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the unknown that each number is, -1 where held, and each unknown's first place."""
+    mask = _mask(name, start.shape, chosen)
+    number = np.arange(start.size).reshape(start.shape)
+    for group in [] if tie is None else _groups(name, start.shape, tie):
+        words = f"{name} of {objects_of(name)}s {', '.join(str(i + 1) for i in group)}"
+        if (mask[group] != mask[group[0]]).any():
+            raise InputError(f"{words} is tied, so all of it must be free, or none of it")
+        if (start[group] != start[group[0]]).any():
+            values = ", ".join(dict.fromkeys(f"{np.round(x, 9).tolist()}" for x in start[group]))
+            raise InputError(f"{words} is tied and must start alike, got {values}")
+        number[group] = number[group[0]]
+    first = np.unique(number[mask])
+    return np.where(mask, np.searchsorted(first, number), -1), first
+
+
+def _mask(name: str, shape: tuple[int, ...], chosen: Any) -> np.ndarray:
+    """Returns which numbers of a parameter are free."""
+    if _is(chosen, True):
+        return np.full(shape, True)
+    if not shape:
+        raise InputError(f"free[{name!r}] must be True or False: it is one number, got {chosen!r}")
+    array = np.asarray(chosen) if np.size(chosen) else np.zeros(0, int)
+    if array.dtype != bool:
+        mask = np.full(shape, False)
+        mask[_indices(f"free[{name!r}]", name, shape[0], array)] = True
+        return mask
+    if array.shape not in (shape, shape[:1]):
+        shapes = " or ".join(str(s) for s in dict.fromkeys((shape[:1], shape)))
+        raise InputError(f"free[{name!r}] must be a mask of shape {shapes}, got {array.shape}")
+    mask = np.broadcast_to(array.reshape(array.shape + (1,) * (len(shape) - array.ndim)), shape)
+    if not mask.any():
+        raise InputError(f"free[{name!r}] names no {objects_of(name)}")
+    if name == "light_position" and (mask.any(axis=1) != mask.all(axis=1)).any():
+        raise InputError("a light's position is free or held as a whole, got a mask of coordinates")
+    return mask.copy()
+
+
+def _indices(what: str, name: str, count: int, array: np.ndarray) -> np.ndarray:
+    """Checks indices of objects."""
+    kind = objects_of(name)
+    if not array.size:
+        raise InputError(f"{what} names no {kind}")
+    if array.dtype.kind not in "iu" or array.ndim != 1:
+        raise InputError(f"{what} must hold indices of {kind}s, got {array.tolist()!r}")
+    wrong = array[(array < 0) | (array >= count)]
+    if wrong.size:
+        raise InputError(
+            f"{what} must hold indices of {kind}s from 0 to {count - 1}, got {wrong[0]}"
+        )
+    if len(np.unique(array)) < len(array):
+        raise InputError(f"{what} must name each {kind} once, got {array.tolist()}")
+    return array
+
+
+def _groups(name: str, shape: tuple[int, ...], tie: Any) -> list[np.ndarray]:
+    """Returns the groups of objects that share a parameter."""
+    what = f"tie[{name!r}]"
+    if not shape:
+        raise InputError(f"{what}: {name} is one number")
+    if _is(tie, True):
+        tie = [list(range(shape[0]))]
+    if not isinstance(tie, list | tuple | np.ndarray):
+        raise InputError(f"{what} must be True or lists of indices, got {tie!r}")
+    nested = len(tie) and all(isinstance(group, list | tuple | np.ndarray) for group in tie)
+    groups = list(tie) if nested else [tie]
+    indices = [_indices(what, name, shape[0], np.asarray(group)) for group in groups]
+    together = np.concatenate(indices)
+    if len(np.unique(together)) < len(together):
+        raise InputError(f"{what} must name each {objects_of(name)} once, got {tie!r}")
+    return [np.sort(group) for group in indices if len(group) > 1]
+
+
+def _pair(option: str, name: str, shape: tuple[int, ...], pair: Any) -> list[np.ndarray]:
+    """Returns two numbers, or arrays of them, in a parameter's shape."""
+    words = "(lower, upper)" if option == "bounds" else "(mean, sigma)"
+    try:
+        one, other = pair
+        arrays = [np.asarray(x, np.float64) for x in (one, other)]
+    except (TypeError, ValueError):
+        raise InputError(f"{option}[{name!r}] must be a pair {words}, got {pair!r}") from None
+    found = []
+    for array in arrays:
+        if shape and array.shape == shape[:1]:
+            array = array.reshape(array.shape + (1,) * (len(shape) - 1))
+        elif array.shape not in ((), shape):
+            raise InputError(
+                f"{option}[{name!r}] must hold one number or have the shape {shape}, got shape "
+                f"{array.shape}"
+            )
+        if np.isnan(array).any():
+            raise InputError(f"{option}[{name!r}] must hold numbers, got nan")
+        found.append(np.broadcast_to(array, shape))
+    return found
+
+
+def _bounds(
+    name: str, start: np.ndarray, unknown: np.ndarray, pair: Any, dtype: np.dtype
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the least and the greatest that numbers may be."""
+    lower, upper = (np.full(start.shape, x) for x in (-np.inf, np.inf))
+    if pair is None:
+        return lower, upper
+    if name == "light_position":
+        raise InputError("bounds of light_position are not to be had: a light may be at infinity")
+    lower, upper = _pair("bounds", name, start.shape, pair)
+    above = lower > upper
+    if above.any():
+        raise InputError(
+            f"bounds of {name}: the lower, {lower[above][0]:g}, is above the upper, "
+            f"{upper[above][0]:g}"
+        )
+    kind = "positive" if name == "exposure" else FITTED[name].range
+    least, most = {"unit": (0, 1), "any": (-np.inf, np.inf)}.get(kind, (0, np.inf))
+    if (np.isfinite(lower) & (lower < least)).any() or (upper < least).any():
+        raise InputError(f"bounds of {name} must be at least {least:g}")
+    if (np.isfinite(upper) & (upper > most)).any() or (lower > most).any():
+        raise InputError(f"bounds of {name} must be at most {most:g}")
+    lower, upper = (x.astype(dtype).astype(np.float64) for x in (lower, upper))
+    outside = (unknown >= 0) & ~((lower <= start) & (start <= upper))
+    if outside.any():
+        at = tuple(np.argwhere(outside)[0])
+        of = f" of {objects_of(name)} {at[0] + 1}" if at else ""
+        raise InputError(
+            f"{name}{of} starts at {start[at]:g}, outside of its bounds {lower[at]:g} to "
+            f"{upper[at]:g}"
+        )
+    return lower, upper
+
+
+def _prior(name: str, start: np.ndarray, pair: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the mean of a Gaussian prior, and 1 / its standard deviation."""
+    if pair is None:
+        return start, np.zeros(start.shape)
+    mean, sigma = _pair("priors", name, start.shape, pair)
+    if not (sigma > 0).all():
+        raise InputError(f"priors of {name}: sigma must be greater than 0, got {sigma.min():g}")
+    if not np.isfinite(mean).all():
+        raise InputError(f"priors of {name}: the mean must be finite")
+    return mean, 1 / sigma
