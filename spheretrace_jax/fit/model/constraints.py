@@ -135,11 +135,23 @@ def _unknowns(name: str, start: np.ndarray, chosen: Any, tie: Any) -> tuple[np.n
         if (mask[group] != mask[group[0]]).any():
             raise InputError(f"{words} is tied, so all of it must be free, or none of it")
         if (start[group] != start[group[0]]).any():
-            values = ", ".join(dict.fromkeys(f"{np.round(x, 9).tolist()}" for x in start[group]))
-            raise InputError(f"{words} is tied and must start alike, got {values}")
+            raise InputError(
+                f"{words} is tied and must start alike, got {_different(start[group])}"
+            )
         number[group] = number[group[0]]
     first = np.unique(number[mask])
     return np.where(mask, np.searchsorted(first, number), -1), first
+
+
+def _different(rows: np.ndarray) -> str:
+    """Returns rows of numbers in words, with as many digits as tell them apart."""
+    words = []
+    for digits in (6, 17):
+        texts = [" ".join(f"{x:.{digits}g}" for x in np.atleast_1d(row)) for row in rows]
+        words = list(dict.fromkeys(texts))
+        if len(words) > 1:
+            break
+    return ", ".join(words)
 
 
 def _mask(name: str, shape: tuple[int, ...], chosen: Any) -> np.ndarray:
