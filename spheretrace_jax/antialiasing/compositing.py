@@ -44,6 +44,10 @@ from .silhouette import (
 FRONTS = 3
 
 
+# Least area of a part of a pixel that is told from 0, in eps of its type.
+_ROUNDING = 64
+
+
 class Layers(eqx.Module):
     """The layers of pixels, from front to back, in arrays of one row for each."""
 
@@ -170,7 +174,10 @@ def _clip_layer(
         outside = clipped_area(~region.edge, *fronts, cut.region.edge, cut.ahead)
         area = area - inside
         visible = clip_pixel(*visible.sides, cut.ahead)
-        behind = where(inside > outside, ~cut.ahead, behind)
+        # an area that is a rounding error does not decide, as the half-planes may be far apart
+        behind = where(
+            inside > outside + _ROUNDING * float(jnp.finfo(area.dtype).eps), ~cut.ahead, behind
+        )
         hand_on = smaller(inside, outside)
     area = only(jnp.where(last, uncovered, clamp(area, 0, uncovered)))
     mean = mean_surface_at(context, ray.value, distance.q.value, layer.hit, distance.extent)

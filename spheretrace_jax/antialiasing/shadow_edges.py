@@ -191,9 +191,9 @@ def _find_occluders(
     context: TraceContext, shaded: _Shaded, light: Vec
 ) -> tuple[Mask, tuple[Ids, ...]]:
     """Finds pixels that are wholly dark, and the objects whose shadows' edges cross the others."""
-    context, ray, light = jax.lax.stop_gradient((context, shaded.ray, light))
+    context, shaded, light = lax.stop_gradient((context, shaded, light))
     hit, middle = shaded.hit, shaded.middle
-    point = ray.at(*middle).map(lambda ray: surface_at(context, unit_ray(ray), hit).point)
+    point = shaded.ray.at(*middle).map(lambda ray: surface_at(context, unit_ray(ray), hit).point)
     pixel = ShadowedPixel(point, middle, light, norm(light - point.value))
 
     def add(object_: Sphere | Plane, number: Index, state: tuple) -> tuple:

@@ -171,9 +171,19 @@ def norm(a: Vec) -> PixelArray:
     return safe_sqrt(dot(a, a))
 
 
+@jax.custom_jvp
 def unit(a: Vec) -> Vec:
     """Normalises: `a / |a|`; the zero vector stays zero, with derivative 0."""
     return a * _per_length(a)
+
+
+@unit.defjvp
+def _unit_jvp(primals: tuple[Vec], tangents: tuple[Vec]) -> tuple[Vec, Vec]:
+    # the derivative subtracts the component along `a`, so that none of it is left by rounding
+    (a,), (da,) = primals, tangents
+    per_length = _per_length(a)
+    u, scaled = a * per_length, da * per_length
+    return u, scaled - u * dot(u, scaled)
 
 
 @jax.custom_jvp

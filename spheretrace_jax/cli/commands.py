@@ -57,7 +57,7 @@ class RenderCommand(Sampling, Sized, Compiling):
     ] = None
     format: Annotated[
         Literal["png", "exr", "hdr", "ppm", "tiff", "jpg"] | None,
-        arg(help="of the picture on standard output, png by default"),
+        arg(metavar="{png,exr,hdr,ppm,tiff,jpg}", help="of the picture on standard output (png)"),
     ] = None
     layers: Annotated[
         bool, FlagCreatePairsOff, arg(help="write depth, normals, objects and coverage, too")

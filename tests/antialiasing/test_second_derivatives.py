@@ -32,11 +32,14 @@ def grown(t: jax.Array) -> jax.Array:
 def moved(name: str, bounces: int) -> Callable[[jax.Array], jax.Array]:
     """Returns a mean square of a picture as a function of how far all of its scene has moved."""
     scene = SCENES[name].with_antialias(1)
-    # the squares of a checker have no covered edges
-    scene = eqx.tree_at(lambda s: s.planes.checker_size, scene, 0 * scene.planes.checker_size)
     rng = np.random.default_rng(0)
     change = lambda x: 0.05 * rng.normal(size=x.shape) * np.maximum(np.abs(x), 0.1)
     along = jax.tree.map(change, scene)
+    # the squares of a checker have no covered edges
+    no_checker = lambda s: eqx.tree_at(
+        lambda s: s.planes.checker_size, s, replace_fn=jnp.zeros_like
+    )
+    scene, along = no_checker(scene), no_checker(along)
 
     def mean_square(t: jax.Array) -> jax.Array:
         at = jax.tree.map(lambda x, by: x + t * by, scene, along)

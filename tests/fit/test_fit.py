@@ -146,7 +146,7 @@ def test_clipped_pixels(tmp_path):
     assert found.counted + found.left_out == target.size
     assert errors(found.scene, truth)["light_position"] < 1e-5
     taken_for_true = np.minimum(target, 0.9999)
-    naive = st.fit(wrong_start(truth), taken_for_true, max_steps=12, **PLAIN)
+    naive = st.fit(wrong_start(truth), taken_for_true, max_steps=12, brightest=np.inf, **PLAIN)
     assert errors(naive.scene, truth)["light_position"] > 5e-3
 
 
@@ -321,7 +321,9 @@ def test_unknowns_stand_for_valid_scenes():
     assert (
         (low["color"] == 0).all() and (high["color"] == 1).all() and (low["light_color"] == 0).all()
     )
-    assert np.isinf(high["light_color"]).all() and np.isinf(high["light_position"]).all()
+    # no bounds, in numbers that `jax_debug_infs` bears
+    most = np.finfo(np.float64).max
+    assert (high["light_color"] == most).all() and (high["light_position"] == most).all()
     # two numbers turn a light, the third moves it away, at most to infinity
-    assert np.isinf(low["light_position"][:, :2]).all()
-    assert np.isfinite(low["light_position"][:, 2]).all()
+    assert (low["light_position"][:, :2] == -most).all()
+    assert (low["light_position"][:, 2] > -most).all()

@@ -128,11 +128,16 @@ def test_coarser_problems():
 
 def test_users_solver_stays_fine(monkeypatch):
     monkeypatch.setattr(problem, "_LEAST_BOXES", 1)
-    plain = optx.LevenbergMarquardt(1e-8, 1e-8)
-    assert not driver.Driver(plain, False, 1e-8, 9, None).coarse_to_fine
+    made = make_problem(two_over_a_floor(), np.zeros((8, 8, 3)), SPHERES, bounces=0)
+
+    def coarse_to_fine(solver, dense=False):
+        made_driver = driver.Driver(lambda _: solver, dense, 1e-8, 9, None)
+        made_driver.begin(made)
+        return made_driver.coarse_to_fine
+
     own = BoundedLevenbergMarquardt(1e-8, 1e-8, {}, {}, cautious=True)
-    assert driver.Driver(own, False, 1e-8, 9, None).coarse_to_fine
-    assert not driver.Driver(own, True, 1e-8, 9, None).coarse_to_fine
+    assert coarse_to_fine(own) and not coarse_to_fine(own, dense=True)
+    assert not coarse_to_fine(optx.LevenbergMarquardt(1e-8, 1e-8))
 
 
 @pytest.mark.slow
