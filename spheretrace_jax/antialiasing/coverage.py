@@ -85,7 +85,7 @@ def disc_area(q: Vec, qx: Vec, qy: Vec, axis: Vec, radius: PixelArray) -> PixelA
     per_radius = 1 / radius
     q, qx, qy = q * per_radius, qx * per_radius, qy * per_radius
     # the box in the plane across the ray: the choice of axes changes no area, so that the axes need
-    # no derivatives, which would overflow where qx is tiny
+    # no first derivatives, which would overflow where qx is tiny
     qx, qy = (v - axis * dot(v, axis) for v in (qx, qy))
     x_side, across = stop_first_gradient((qx, axis))
     first = unit(x_side)
@@ -118,8 +118,8 @@ def _excess_beyond_circle(
 
     **Arguments:** the side runs from (x, y) to (x + dx, y + dy).
     """
-    # the integrand vanishes at the crossings, so that moving these limits changes nothing: without
-    # their derivatives no root is ever differentiated near 0
+    # the integrand vanishes at the crossings, so that moving these limits changes nothing: a first
+    # derivative never differentiates a root near 0
     enter, leave = _circle_crossings(*stop_first_gradient((x, y, dx, dy)))
     nonzero = dx * dx + dy * dy > 0
 
@@ -144,4 +144,4 @@ def _circle_crossings(
     middle = -(x * dx + y * dy) * per_square
     moment = x * dy - y * dx  # the distance from the centre times the side's length
     half_chord = safe_sqrt(square - moment * moment) * per_square
-    return jnp.clip(middle - half_chord, 0, 1), jnp.clip(middle + half_chord, 0, 1)
+    return clamp(middle - half_chord, 0, 1), clamp(middle + half_chord, 0, 1)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..base.safe_math import larger, safe_sqrt, smaller
+from ..base.safe_math import clamp, larger, safe_sqrt, smaller
 from ..base.types import Index, Mask, PixelArray
 from ..tracing.differential import Differential
 from ..xla.loops import loop
@@ -154,7 +154,7 @@ def _integrate(
     area = triangles.sum(0)
     positive = area > jnp.finfo(area.dtype).eps
     scale = jnp.where(positive, 1 / jnp.where(positive, area, 1), 0) * (2 / 3)
-    return jnp.clip(area, 0, 1), (triangles * x).sum(0) * scale, (triangles * y).sum(0) * scale
+    return clamp(area, 0, 1), (triangles * x).sum(0) * scale, (triangles * y).sum(0) * scale
 
 
 def _clip_lines(right: Array, down: Array, offset: Array) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..base.derivatives import stop_first_gradient
-from ..base.safe_math import safe_sqrt
+from ..base.safe_math import clamp, larger, safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit, where
 from ..scene.camera import Ray, unit_ray
@@ -136,7 +136,7 @@ def _find_edge(
 ) -> tuple[tuple[PixelArray, PixelArray], Mask]:
     """Finds a place on the edge of a shadow, and whether to take the edge as straight there."""
     here = _boundary(context, shaded, shaded.middle, number, light)
-    small = here.radius < _SMALL * jnp.maximum(norm(here.q.dx), norm(here.q.dy))
+    small = here.radius < _SMALL * larger(norm(here.q.dx), norm(here.q.dy))
     zero, near_rim = _find_zero(context, shaded, here.f)
     there = _boundary(context, shaded, zero, number, light)
     # seen from the edge, the middle is on the side that it is on, but for wild mirrors
@@ -166,7 +166,7 @@ def _find_zero(
     least = jnp.where(least > 0, least, 1)
     q = shaded.ray.at(x, y).map(lambda ray: across(unit_ray(ray)))
     square = sphere.radius * sphere.radius - dot(q.value, q.value)
-    chord = safe_sqrt(jnp.maximum(square, least * least))
+    chord = safe_sqrt(larger(square, least * least))
 
     slope = safe_sqrt(f.dx * f.dx + f.dy * f.dy)
     per_slope = 1 / jnp.where(slope > 0, slope, 1)
@@ -183,7 +183,7 @@ def _find_zero(
     straight = step * (new + chord) / (2 * chord)
     rim = (least * least - chord * chord) / jnp.where(on_sphere, grows, 1)
     step = jnp.where(on_sphere, jnp.where(new > least, straight, rim), step)
-    step = jnp.clip(step, -0.5, 0.5)
+    step = clamp(step, -0.5, 0.5)
     return (x + step * right, y + step * down), near_rim
 
 

@@ -110,6 +110,17 @@ def test_no_derivative_asks_whether_a_number_is_the_maximum(name, antialias):
     assert equal_maxima(lambda x: jnp.maximum(x, 1), jnp.zeros(3))
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(jax.__version_info__ >= (0, 12), reason="jax asks which number is larger")
+@pytest.mark.parametrize("name", ["planes", "glass"])
+def test_no_second_derivative_asks_either(name):
+    scene = SCENES[name].with_antialias(1)
+    known = st.needs(scene, free=("center", "radius", "ks", "kgr"))
+    picture = lambda s: st.render(s, needs=known, **SIZE)
+    slope = lambda s: jax.jvp(picture, (s,), (jax.tree.map(jnp.ones_like, s),))[1]
+    assert not equal_maxima(slope, scene)
+
+
 def test_float32_scenes_are_checked_in_float64():
     scene = SCENES["diffuse"].astype(jnp.float32)
     known = st.needs(scene)  # without mirrors, which compile for long

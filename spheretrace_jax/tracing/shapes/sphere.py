@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ...base.derivatives import stop_first_gradient
-from ...base.safe_math import larger, safe_sqrt, smaller
+from ...base.safe_math import clamp, larger, safe_sqrt, smaller
 from ...base.types import Mask, PixelArray, Scalar
 from ...base.vec import Vec, cross, dot, norm, unit
 from ...scene.camera import Ray
@@ -139,8 +139,8 @@ class Sphere(eqx.Module):
         low, high = Sphere(self.center, radius).chord_range(q, extent)
         slope = -dot(ray.direction, to_light) / radius
         h = mean_root(low, high) - cosine / jnp.where(slope == 0, 1, slope)
-        # the integrand vanishes at N.L = 0, so that moving this end changes nothing
-        zero = jnp.clip(*stop_first_gradient((h, low, high)))
+        # the integrand vanishes at N.L = 0, so that moving this end changes nothing to first order
+        zero = clamp(*stop_first_gradient((h, low, high)))
         start, end = jnp.where(slope > 0, zero, low), jnp.where(slope > 0, high, zero)
         interval = high * high - low * low
         mixed = (low < zero) & (zero < high) & (slope != 0)
