@@ -43,7 +43,6 @@ from .silhouette import (
 #: of every polygon.
 FRONTS = 3
 
-
 # Least area of a part of a pixel that is told from 0, in eps of its type.
 _ROUNDING = 64
 

@@ -23,6 +23,9 @@ Index = int | Int[Array, ""]
 Picture = Float[Array, "height width 3"]
 """Linear RGB, row 0 at the top, unclamped."""
 
+Colorspace = Literal["auto", "linear", "srgb"]
+"""How a picture file's numbers are coded; `"auto"` for what the file says, or what is usual."""
+
 Highlight = Literal["phong", "blinn"]
 """The highlight model: Phong's (R.V)^n or the halfway vector's (H.N)^n."""
 

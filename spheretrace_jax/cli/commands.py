@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from ..base.errors import InputError
+from ..base.types import Colorspace
 from . import progress
 from .arguments import (
     Command,
@@ -49,9 +50,7 @@ class RenderCommand(Sampling, Sized, Compiling):
         arg(aliases=["-o"], metavar="IMAGE", help="the picture to write, - for standard output"),
     ]
     dtype: Dtype = "float32"
-    colorspace: Annotated[
-        Literal["auto", "linear", "srgb"], arg(help="how to code the file's numbers")
-    ] = "auto"
+    colorspace: Annotated[Colorspace, arg(help="how to code the file's numbers")] = "auto"
     bits: Annotated[
         int | None, arg(metavar="B", help="8, 16 or 32 per number, as far as IMAGE can")
     ] = None

@@ -3,13 +3,17 @@
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from ..base.errors import InputError, PictureWarning
+from ..base.types import Colorspace
 from ..fit.fit import DEFAULT_FREE
 from ..fit.model.parameters import NAMES
+from ..fit.model.target import Loss
+from ..fit.solver.gauge import Gauge
+from ..fit.solver.light_search import Start
 from . import progress
 from .arguments import (
     Compiling,
@@ -70,9 +74,7 @@ class FitCommand(Sampling, Compiling):
         arg(metavar="NAME:X+-S", help="means and standard deviations known before: kd:0.5+-0.1"),
     ] = None
     dtype: Dtype = "float32"
-    colorspace: Annotated[
-        Literal["auto", "linear", "srgb"], arg(help="how TARGET's numbers are coded")
-    ] = "auto"
+    colorspace: Annotated[Colorspace, arg(help="how TARGET's numbers are coded")] = "auto"
     layer: Annotated[
         str | None, arg(metavar="NAME", help="the layer, view or page of TARGET, if it has several")
     ] = None
@@ -94,15 +96,13 @@ class FitCommand(Sampling, Compiling):
     noise: Annotated[
         float | None, arg(metavar="X", help="the standard deviation of TARGET's numbers")
     ] = None
-    loss: Annotated[
-        Literal["square", "huber", "cauchy"], arg(help="huber and cauchy bear outliers")
-    ] = "square"
+    loss: Annotated[Loss, arg(help="huber and cauchy bear outliers")] = "square"
     start: Annotated[
-        Literal["scene", "lights", "auto"],
+        Start,
         arg(help="what of SCENE to begin with: all, lights' places, or only what is not free"),
     ] = "scene"
     gauge: Annotated[
-        Literal["ka", "color", "none"],
+        Gauge,
         arg(help="of scenes that look the same: ka as in SCENE, color as bright as can be, or any"),
     ] = "ka"
     max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps in all")] = 300

@@ -7,13 +7,14 @@ file says, unless the caller says otherwise; files that are written say it.
 import os
 import warnings
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
 
 from ..base.errors import InputError, PictureError, PictureWarning
+from ..base.types import Colorspace
 from ..rendering.layers import Layers
 from .atomic import check_target, replacing, reserve
 from .color_encoding import LINEAR, SRGB
@@ -22,8 +23,6 @@ from .icc_profile import linear_profile
 from .image_reader import ImageData, check_name, read_file, reason
 from .layer_channels import layer_channels
 from .picture_formats import PICTURE_FORMATS, PictureFormat
-
-Colorspace = Literal["auto", "linear", "srgb"]
 
 # OpenImageIO's names of what is written.
 _LINEAR, _SRGB = "lin_rec709_scene", "srgb_rec709_scene"

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
@@ -28,7 +27,7 @@ from .problem.make_problem import make_problem
 from .problem.problem import Problem, normal_at
 from .solver.driver import Driver, Progress, StoppedBy, check_solver
 from .solver.gauge import GAUGES, Gauge, fix_gauge
-from .solver.levenberg_marquardt import BoundedLevenbergMarquardt
+from .solver.levenberg_marquardt import BoundedLevenbergMarquardt, tolerances
 from .solver.light_search import Start, problem_starts
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
@@ -268,8 +267,7 @@ def fit(
         raise InputError(f"gauge must be one of {', '.join(GAUGES)}, got {gauge!r}")
     if max_steps < 0:
         raise InputError(f"max_steps must be at least 0, got {max_steps}")
-    tolerance = 1e-10 if problem.dtype == jnp.float64 else 1e-6
-    rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
+    rtol, atol = tolerances(problem.dtype, rtol, atol)
 
     def method(started: Problem) -> Any:
         if solver is not None:

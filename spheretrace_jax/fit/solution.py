@@ -14,7 +14,7 @@ from ..scene.arrays import check_shapes, is_traced, with_one_dtype
 from ..scene.scene import Scene, check_scene
 from .problem.compression import compressed_residual
 from .problem.problem import Problem
-from .solver.levenberg_marquardt import BoundedLevenbergMarquardt
+from .solver.levenberg_marquardt import BoundedLevenbergMarquardt, tolerances
 
 # Singular values of the Hessian, as parts of the largest, below which nothing is determined.
 # Smaller ones are rounding errors in float64; a larger cutoff freezes what is weakly determined.
@@ -59,8 +59,7 @@ def solution(
     short under `equinox.filter_jit`.)
     """
     problem = _checked(problem)
-    tolerance = 1e-10 if problem.dtype == jnp.float64 else 1e-6
-    rtol, atol = (tolerance if t is None else t for t in (rtol, atol))
+    rtol, atol = tolerances(problem.dtype, rtol, atol)
     # functions without closures, which those that are checked at test time have
     primal, rewrite = lambda inputs: _solve(inputs), lambda *inputs: _optimality(*inputs)
     inputs = problem.without_stale_samples(), max_steps, rtol, atol

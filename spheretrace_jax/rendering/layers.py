@@ -13,7 +13,7 @@ from ..base.types import Ids, Picture, PixelArray
 from ..base.vec import dot, where, zeros
 from ..scene.camera import Ray
 from ..scene.lights import Lights
-from ..scene.needs import Needs, needs as needs_of
+from ..scene.needs import Needs, needs_of
 from ..scene.planes import BackPlane, Planes
 from ..scene.scene import Scene, check_scene
 from ..scene.settings import RenderSettings, render_settings

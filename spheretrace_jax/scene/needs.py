@@ -72,12 +72,11 @@ def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
     scenes = [check_scene(s) for s in (scene if isinstance(scene, Iterable) else [scene])]
     if not scenes:
         raise InputError("needs must be asked of at least one scene, got none")
-    found = [_needs_of(one, free) for one in scenes]
-    return functools.reduce(_together, found)
+    return functools.reduce(_together, [needs_of(one, free) for one in scenes])
 
 
-def _needs_of(scene: Scene, free: frozenset[str]) -> Needs:
-    """Finds the needs of one scene."""
+def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
+    """Finds the needs of one scene that was checked. **Arguments:** `free`: known names."""
     free = free | traced_names(scene)
     spheres, planes = scene.spheres, scene.planes
 

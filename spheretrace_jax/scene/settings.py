@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..base.errors import InputError
 from ..base.types import Highlight
 from ..xla.sharding import Rows, rows_of_device, rows_sharding
-from .needs import Needs, needs as needs_of
+from .needs import Needs, needs_of
 from .scene import Scene
 
 #: Limit of the samples along a pixel's side. More would never end: time grows with the square.

@@ -2,18 +2,15 @@
 
 import os
 import re
-import sys
-import warnings
 from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from helpers.commands import FIT, TEXT, files, fill, python
+from helpers.commands import FIT, TEXT, files, fill, python, status_of
 
 import spheretrace_jax as st
-from spheretrace_jax.cli import main
 
 SIZE = dict(width=32, height=24)
 
@@ -30,21 +27,9 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 @pytest.fixture
-def spheretrace(folder, monkeypatch, capfd):
+def spheretrace(folder, capfd):
     """Runs the program: `(status, stdout, stderr)`."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["spheretrace", *map(str, words)])
-        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-        # it sets JAX for the whole process
-        monkeypatch.setattr(main, "use_default_cache", lambda: None)
-        with warnings.catch_warnings(), pytest.raises(SystemExit) as end:
-            warnings.simplefilter("always")
-            main.main()
-        out, err = capfd.readouterr()
-        return end.value.code or 0, out, err
-
-    return run
+    return lambda *words: (status_of(*words), *capfd.readouterr())
 
 
 # --- render ---------------------------------------------------------------------------------------

@@ -3,15 +3,13 @@
 import io
 import sys
 import types
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import FIT, TEXT, fill
+from helpers.commands import FIT, TEXT, fill, status_of
 
 import spheretrace_jax as st
-from spheretrace_jax.cli import main
 
 SIZE = ("--size", "32x24")
 
@@ -23,15 +21,9 @@ def spheretrace(tmp_path, monkeypatch, capfdbinary):
     fill(tmp_path)
 
     def run(*words: object, given: bytes = b"") -> tuple[int, bytes, str]:
-        monkeypatch.setattr(sys, "argv", ["spheretrace", *map(str, words)])
         monkeypatch.setattr(sys, "stdin", types.SimpleNamespace(buffer=io.BytesIO(given)))
-        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-        monkeypatch.setattr(main, "use_default_cache", lambda: None)
-        with warnings.catch_warnings(), pytest.raises(SystemExit) as end:
-            warnings.simplefilter("always")
-            main.main()
-        out, err = capfdbinary.readouterr()
-        return end.value.code or 0, out, err.decode()
+        status, (out, err) = status_of(*words), capfdbinary.readouterr()
+        return status, out, err.decode()
 
     return run
 

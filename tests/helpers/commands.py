@@ -59,13 +59,10 @@ def workplace() -> Iterator[Path]:
         yield Path(name)
 
 
-def spheretrace(*words: object) -> tuple[int, str, str]:
-    """Runs the program in this process: `(status, stdout, stderr)`."""
-    out, err = io.StringIO(), io.StringIO()
+def status_of(*words: object) -> int:
+    """Runs the program in this process, and returns its exit status."""
     with (
         patch.object(sys, "argv", ["spheretrace", *map(str, words)]),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
         patch.object(os, "_exit", sys.exit),
         patch.object(sys, "unraisablehook", sys.unraisablehook),
         patch.object(main, "use_default_cache"),  # sets JAX for the whole process
@@ -75,8 +72,16 @@ def spheretrace(*words: object) -> tuple[int, str, str]:
         try:
             main.main()
         except SystemExit as end:
-            return end.code or 0, out.getvalue(), err.getvalue()
+            return end.code or 0
     raise AssertionError("main did not exit")
+
+
+def spheretrace(*words: object) -> tuple[int, str, str]:
+    """Runs the program in this process: `(status, stdout, stderr)`."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = status_of(*words)
+    return status, out.getvalue(), err.getvalue()
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -51,7 +51,7 @@ class Trust(eqx.Module):
         """Returns words for numbers at their bounds, and for what is not determined."""
         known, bounds = self.fit.identifiability, _at_bounds(self.fit)
         remarks = [f"at its bound: {', '.join(bounds)}"] if bounds else []
-        if names := prior_names(self.fit.problem):
+        if names := self.fit.problem.priors:
             remarks.append(f"what is known of {joined(names)} counts: priors, as given")
         return (*remarks, *known.undetermined, *known.weak)
 
@@ -153,13 +153,6 @@ def _saturation(fit) -> Iterator[str]:
 
 def _level(top: Plateau) -> str:
     return f"{CHANNELS[top.channel]} at {top.level:.6g} ({np.count_nonzero(top.at)} numbers)"
-
-
-def prior_names(problem: Problem) -> list[str]:
-    """Returns the names of parameters that have priors."""
-    weighs = lambda c: bool(np.asarray(c.weight).any())
-    constrained = [item for p in problem.parameters for item in p.constraints.items()]
-    return list(dict.fromkeys(name for name, c in constrained if weighs(c)))
 
 
 def _at_bounds(fit) -> list[str]:

@@ -145,7 +145,7 @@ def estimate(
     jacobians = [np.asarray(x, np.float64) for x in _jacobians(parameters, values)]
     square, gradient = np.asarray(normal.square), np.asarray(normal.gradient)
     # what the pictures alone determine
-    priors, seen = problem.has_priors, square
+    priors, seen = problem.priors, square
     if priors:
         seen = np.asarray(normal_at(problem.without_priors(), values).square)
     spectrum = spectrum_of(seen, problem.norm)

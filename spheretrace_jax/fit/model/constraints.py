@@ -46,18 +46,33 @@ class Constraint(eqx.Module):
         """Returns, for each number, the first number of its unknown."""
         return self.full(self.reduced(jnp.broadcast_to(x, self.unknown.shape)))
 
+    def averaged(self, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Returns, for each number, the mean of its unknown's numbers; of held ones any."""
+        zero = jnp.zeros(self.first.size, x.dtype)
+        at = self._places
+        sums, counts = (zero.at[at].add(y, mode="drop") for y in (x, jnp.ones_like(x)))
+        return self.full(sums / counts)
+
     def bounds(self) -> tuple[Float[Array, " unknowns"], Float[Array, " unknowns"]]:
         """Returns the bounds of each unknown, those of all its numbers, in the scene's units."""
-        size = self.first.size
-        at = jnp.where(self.unknown < 0, size, self.unknown)
-        unbounded = jnp.full(size, jnp.inf, self.lower.dtype)
+        at, unbounded = self._places, jnp.full(self.first.size, jnp.inf, self.lower.dtype)
         lower = (-unbounded).at[at].max(self.lower, mode="drop")
         return lower, unbounded.at[at].min(self.upper, mode="drop")
+
+    @property
+    def _places(self) -> Int[Array, "*shape"]:
+        """Returns the unknown of each number, to scatter to; out of range where it is held."""
+        return jnp.where(self.unknown < 0, self.first.size, self.unknown)
 
     @property
     def free(self) -> np.ndarray:
         """Returns which numbers are free, on the host."""
         return np.asarray(self.unknown >= 0)
+
+    @property
+    def has_prior(self) -> bool:
+        """Returns whether any number has a prior."""
+        return bool(np.asarray(self.weight).any())
 
     @property
     def tied(self) -> bool:

@@ -226,9 +226,9 @@ class Parameters(eqx.Module):
         return eqx.tree_at(weights, self, replace_fn=jnp.zeros_like)
 
     @property
-    def has_priors(self) -> bool:
-        """Returns whether any number has a prior."""
-        return any(np.asarray(c.weight).any() for c in self.constraints.values())
+    def priors(self) -> list[str]:
+        """Returns the names of parameters that have priors."""
+        return [name for name, c in self.constraints.items() if c.has_prior]
 
     def starting_at(self, scene: Scene) -> "Parameters":
         """Returns the same with another start, whose held numbers stay and whose tied ones agree.
@@ -239,10 +239,7 @@ class Parameters(eqx.Module):
             if name == "exposure":
                 continue
             new, old = value(scene, name), value(self.scene, name)
-            at = jnp.where(constraint.unknown < 0, constraint.first.size, constraint.unknown)
-            zero = jnp.zeros(constraint.first.size, new.dtype)
-            sums, counts = (zero.at[at].add(x, mode="drop") for x in (new, jnp.ones_like(new)))
-            new = jnp.where(constraint.unknown < 0, old, constraint.full(sums / counts))
+            new = jnp.where(constraint.unknown < 0, old, constraint.averaged(new))
             scene = eqx.tree_at(ACCESSORS[name], scene, new)
         return Parameters(scene, self.free, self.constraints)
 

@@ -87,9 +87,9 @@ class Problem(eqx.Module):
         return parameters.prior_residual(parameters.natural(self.picture_unknowns(values, k)))
 
     @property
-    def has_priors(self) -> bool:
-        """Returns whether any parameter has a prior."""
-        return any(p.has_priors for p in self.parameters)
+    def priors(self) -> list[str]:
+        """Returns the names of parameters that have priors."""
+        return list(dict.fromkeys(name for p in self.parameters for name in p.priors))
 
     def without_priors(self) -> "Problem":
         """Returns the problem of the pictures alone."""

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree, Scalar, ScalarLike
@@ -109,6 +110,12 @@ class CautiousTrustRegion(optx.ClassicalTrustRegion):
         step_size = jnp.where(accept, step_size, state.step_size * state.drop)
         drop = jnp.where(accept, self.low_constant, state.drop * self.low_constant)
         return step_size, accept, result, _TrustRegionState(step_size, drop)
+
+
+def tolerances(dtype: np.dtype, rtol: float | None, atol: float | None) -> tuple[float, float]:
+    """Returns relative and absolute tolerance of a fit, by default 1e-10, in float32 1e-6."""
+    usual = 1e-10 if dtype == np.float64 else 1e-6
+    return usual if rtol is None else rtol, usual if atol is None else atol
 
 
 class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
