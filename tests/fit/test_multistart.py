@@ -38,14 +38,15 @@ def test_other_start_after_a_black_one(antialias):
     # all starts' steps are counted, and the least cost so far is told, of the scene that has it
     assert found.steps == len(told) == len(found.costs) <= told[0].max_steps
     assert [p.cost for p in told] == list(found.costs)
-    # covered edges of shadows move with the light: where their samples are traced again, the same
-    # scene's cost is another
+    # covered edges of shadows stay where the light was when they were traced: until then costs are
+    # nearly those of the pictures, and when they are traced again the same scene's cost is another
     rises = np.diff(found.costs)[np.diff(found.costs) > 0]
     assert len(rises) <= antialias and all(rises < 1e-4 * found.costs[0])
     assert [p.step for p in told] == list(range(1, found.steps + 1))
     for p in told[:: len(told) // 4]:
         residual = np.asarray(st.render(p.scene, **SIZE) - target)
-        np.testing.assert_allclose(0.5 * np.sum(residual**2), p.cost, rtol=1e-6, atol=1e-20)
+        rtol = 1e-3 if antialias else 1e-6
+        np.testing.assert_allclose(0.5 * np.sum(residual**2), p.cost, rtol=rtol, atol=1e-20)
 
 
 @pytest.mark.parametrize("start", ["scene", "lights", "auto"])
