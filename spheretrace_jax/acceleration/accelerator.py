@@ -8,21 +8,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from ..base.types import PixelArray
+from ..base.types import Ids, PixelArray
 from ..base.vec import Vec, vec
 from ..scene.scene import Scene
 from ..scene.settings import RenderSettings
 from .binning import build_bins, cluster
 from .light_buffer import LightBuffer, light_projection
 from .screen_tiles import ScreenTiles, screen_bounds, tile_count
+from .sphere_blocks import SphereBlocks, build_blocks
 from .uniform_grid import UniformGrid, grid_bounds, max_grid_cells
 
 # Number of spheres up to which every ray tests all of them. The structures are faster from 60 on
 # (512 x 512, one light: 60 spheres 20 against 32 ms, 125 15 against 89), but take longer to
 # compile.
 MAX_BRUTE_FORCE = 100
+
+# How far from its ray a pixel with edges reaches at most, in pixels, with room for rounding errors.
+EDGE_REACH = 1.01
 
 # Number of objects that scenes with an accelerator stay below. Ids have to be exact in float32:
 # `closest_hit` packs them with distances into complex numbers.
@@ -36,6 +40,7 @@ class Accelerator(eqx.Module):
     light_positions: Float[Array, "m 3"]
     light_buffers: LightBuffer | None  #: for shadow rays, stacked over the lights
     uniform_grid: UniformGrid | None  #: for any rays
+    sphere_blocks: SphereBlocks | None  #: for the cones of pixels with edges
 
     def from_row(self, first_row: Int[Array, ""]) -> "Accelerator":
         """Returns the accelerator for a strip of pixel rows.
@@ -44,15 +49,15 @@ class Accelerator(eqx.Module):
         """
         return eqx.tree_at(lambda a: a.screen_tiles, self, self.screen_tiles.from_row(first_row))
 
-    def light_buffer(self, light: Vec) -> tuple[Bool[Array, ""], LightBuffer]:
-        """Finds the light buffer of a light by its position.
+    def of_pixels(self, column: Ids, row: Ids) -> "Accelerator":
+        """Returns the accelerator for some pixels."""
+        return eqx.tree_at(lambda a: a.screen_tiles, self, self.screen_tiles.of_pixels(column, row))
 
-        **Returns:** whether there is one, and the buffer (of another light if there is none).
-        """
+    def light_buffer(self, light: Vec) -> LightBuffer:
+        """Finds the light buffer of one of the scene's lights by its position."""
         position = jnp.stack([light.x, light.y, light.z])[None]
-        matches = jnp.all(self.light_positions == position, axis=1)
-        index = jnp.argmax(matches)
-        return matches[index], jax.tree.map(lambda x: x[index], self.light_buffers)
+        index = jnp.argmax(jnp.all(self.light_positions == position, axis=1))
+        return jax.tree.map(lambda x: x[index], self.light_buffers)
 
 
 def build_accelerator(
@@ -70,7 +75,8 @@ def build_accelerator(
     lights = scene.lights.position
     size, rows = (settings.width, settings.height), settings.rows
     stack = lambda grid: jax.tree.map(lambda x: x[None], grid)
-    bounds = [stack(screen_bounds(center, radius, scene.camera, size, rows))]
+    pixel = EDGE_REACH * settings.side if settings.antialias else 0.0
+    bounds = [stack(screen_bounds(center, radius, scene.camera, size, rows, pixel))]
     max_cells = tile_count((size[0], rows.count))
     group, projections, grid = cluster(center, radius), None, None
     if settings.needs.shadows:
@@ -91,4 +97,5 @@ def build_accelerator(
         lights,
         None if projections is None else LightBuffer(projections, bins_of(of_lights)),
         None if grid is None else UniformGrid(*grid, bins_of(-1)),
+        build_blocks(center, radius, group) if settings.antialias else None,
     )

@@ -197,7 +197,7 @@ def _sort_into_cells(center: Vec, radius: PixelArray, bounds: BinBounds, max_cel
     covered = bounds.covered_cells(width)
     no_cell = jnp.prod(counts, dtype=jnp.int32) + 1
     ids, cell = _expand_pairs(covered, counts, no_cell, capacity)
-    ids = _take(ids, _stable_order(cell, no_cell))
+    ids = _take(ids, stable_order(cell, no_cell))
     # counting sort: the histogram of the cells gives their first slots
     filled = jnp.zeros(max_cells + 2, jnp.int32).at[cell].add(1)
     center, radius = jax.tree.map(lambda column: _take(column, ids), (center, radius))
@@ -276,7 +276,7 @@ def _pair_capacity(spheres: int) -> int:
     return PAIRS_PER_SPHERE * spheres + EXTRA_PAIRS
 
 
-def _stable_order(cell: Ids, last: Int[Array, ""]) -> Ids:
+def stable_order(cell: Ids, last: Int[Array, ""]) -> Ids:
     """Returns the permutation that sorts cells 0..`last` stably (radix sort, lowest digit first).
 
     A key is one integer of a digit and a position: 41 ns each, where pairs of a cell and a position

@@ -11,9 +11,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 
-from ..base.types import Mask, PixelArray, Scalar
+from ..base.types import Ids, Mask, PixelArray, Scalar
 from ..base.vec import SplitVec, Vec, cross, dot, norm, unit, where
+from ..xla.compaction import while_active
 from .binning import (
     ROUNDING_ULPS,
     BinBounds,
@@ -25,6 +27,9 @@ from .binning import (
     central_range,
     max_bins,
 )
+
+# Spheres that a pixel tests per step: most pixels have fewer in their cells.
+BLOCK = 2
 
 # Margin around the direction opposite to a projection's middle, as 1 minus the cosine of the angle.
 # Spheres within this margin are projected too large to be useful and go to the global list.
@@ -45,10 +50,10 @@ class LightBuffer(eqx.Module):
         self,
         point: Vec,
         mask: Mask,
+        done: Callable[[T], Mask],
         visitor: Visitor,
         rays: Any,
         state: T,
-        done: Callable[[T], Mask],
     ) -> T:
         """Lets shadow rays from points test the spheres in their direction; see `Bins.visit`.
 
@@ -57,8 +62,58 @@ class LightBuffer(eqx.Module):
         shape = mask.shape
         cell = self.bins.cell_at(*self.projection.cell_position(point))
         cell = jnp.where(mask, cell, -1).reshape(-1)
-        rays, state = jax.tree.map(jnp.ravel, (rays, state))
+        rays, state = jax.tree.map(lambda x: x.ravel() if x.ndim else x, (rays, state))
         state = self.bins.visit(cell, visitor, rays, state, done)
+        return jax.tree.map(lambda x: x.reshape(shape), state)
+
+    def cells_around(self, point: Vec, radius: PixelArray) -> "LightCells":
+        """Returns the cells in which balls around points lie, seen from the light."""
+        bins = self.bins
+        first, last = (
+            tuple(bins.column(axis, x) for axis, x in enumerate(sides))
+            for sides in self.projection.boxes(point, radius)
+        )
+        across, down = (b - a + 1 for a, b in zip(first, last, strict=True))
+        return LightCells(bins, first, across, across * down)
+
+
+class LightCells(eqx.Module):
+    """A rectangle of a light buffer's cells for each pixel."""
+
+    bins: Bins
+    first: tuple[Ids, ...]  #: the first column and row
+    across: Ids  #: the number of columns
+    count: Ids  #: the number of cells
+
+    def visit(
+        self, mask: Mask, done: Callable[[T], Mask], visitor: Visitor, rays: Any, state: T
+    ) -> T:
+        """Lets pixels test the spheres in their cells; see `Bins.visit`.
+
+        A sphere that lies in several cells of a pixel is tested once for each.
+        """
+        shape, bins = mask.shape, self.bins
+        flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
+        count = jnp.where(mask, self.count, 0)
+        pixels, state = jax.tree.map(flat, ((self.first, self.across, count, rays), state))
+        visit_global = lambda k, s: visitor(pixels[-1], *bins.sphere(k), s)
+        state = lax.fori_loop(0, bins.start[1], visit_global, state)
+
+        def step(pixels: tuple, now: tuple) -> tuple:
+            (column, row), across, count, rays = pixels
+            number, slot, state = now
+            cell = bins.cell(column + lax.rem(number, across), row + lax.div(number, across))
+            start, spheres = bins.slots(jnp.where(number < count, cell, -1))
+            for k in range(BLOCK):
+                sphere = bins.sphere_if(slot + k < spheres, start + slot + k)
+                state = visitor(rays, *sphere, state)
+            slot = slot + BLOCK
+            more = slot < spheres
+            return jnp.where(more, number, number + 1), jnp.where(more, slot, 0), state
+
+        active = lambda pixels, now: (now[0] < pixels[2]) & ~done(now[2])
+        none = jnp.zeros_like(pixels[2])
+        state = while_active(step, active, pixels, (none, none, state))[-1]
         return jax.tree.map(lambda x: x.reshape(shape), state)
 
 
@@ -106,7 +161,11 @@ class LightProjection(eqx.Module):
         return w.x * scale, w.y * scale
 
     def bounds(self, center: Vec, radius: PixelArray) -> BinBounds:
-        """Bounds the projections of spheres, in cells.
+        """Bounds the projections of the scene's spheres, in cells."""
+        return bounds_2d(*self.boxes(center, radius), [self.cells] * 2, step=2**0.5)
+
+    def boxes(self, center: Vec, radius: PixelArray) -> tuple[list[PixelArray], list[PixelArray]]:
+        """Returns the least and the largest coordinates of the projections of spheres, in cells.
 
         A cap of angular radius a around u becomes a circle. Its centre is
         (u.x, u.y) / (u.z + cos a), its radius sin a / (u.z + cos a).
@@ -126,7 +185,7 @@ class LightProjection(eqx.Module):
             r = r + (ROUNDING_ULPS * jnp.finfo(r.dtype).eps) * (jnp.abs(x) + r) / bottom
             low.append(jnp.where(unbounded, 0, self._to_cells(x - r, axis)))
             high.append(jnp.where(unbounded, self.cells, self._to_cells(x + r, axis)))
-        return bounds_2d(low, high, [self.cells] * 2, step=2**0.5)
+        return low, high
 
     def _to_cells(self, x: PixelArray, axis: int) -> PixelArray:
         """Converts a projected coordinate to cells: linear amid the cluster, compressed beyond.

@@ -9,11 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Shaped
 
-from ..base.types import Mask, PixelArray
+from ..base.types import Ids, PixelArray, Scalar
 from ..base.vec import Vec, dot, norm
 from ..scene.camera import Camera, view_frame
 from ..xla.sharding import Rows
 from .binning import ROUNDING_ULPS, BinBounds, Bins, T, Visitor, bounds_2d
+from .candidate_list import Found, Search, visit_nearest
+from .sphere_blocks import PixelCone
 
 # Side of a tile in pixels. Larger tiles have more candidates per ray, smaller ones more pairs to
 # sort.
@@ -21,20 +23,34 @@ TILE = 8
 
 
 class ScreenTiles(eqx.Module):
-    """The spheres that may cover each tile of a picture."""
+    """The spheres that may cover each tile of a picture, for a strip or some pixels of it."""
 
     bins: Bins
-    row: Int[Array, ""] | None = None  #: the first row of tiles of a strip; None: not in a strip
+    row: Int[Array, ""] | None = None  #: the strip's first row of tiles
+    cell: Ids | None = None  #: the cells of some pixels
+
+    @property
+    def located(self) -> bool:
+        """Tells whether it is known where in the picture the pixels are."""
+        return self.row is not None or self.cell is not None
 
     def from_row(self, first_row: Int[Array, ""]) -> "ScreenTiles":
         """Returns the tiles of a strip that starts at a pixel row, a multiple of `TILE`."""
         return ScreenTiles(self.bins, first_row // TILE)
 
-    def visit(self, rays: Any, visitor: Visitor, state: T, done: Callable[[T], Mask]) -> T:
+    def of_pixels(self, column: Ids, row: Ids) -> "ScreenTiles":
+        """Returns the tiles of some pixels."""
+        step = self.bins.width.astype(jnp.int32)
+        return ScreenTiles(
+            self.bins, cell=self.bins.cell(*(x // TILE // step for x in (column, row)))
+        )
+
+    def visit(self, visitor: Visitor, rays: Any, state: T) -> T:
         """Lets the primary rays of a strip test the spheres of their tiles; see `Bins.visit`.
 
-        **Arguments:** `rays`, `state`: pytrees of arrays of shape `(rows, columns)`.
+        **Arguments:** `rays`, `state`: pytrees of arrays of shape `(rows, columns)` or scalars.
         """
+        never = lambda state: jnp.full(jax.tree.leaves(state)[0].shape, False)
         shape = jax.tree.leaves(state)[0].shape
         rows, columns = (-(-n // TILE) for n in shape)
         step = self.bins.width.astype(jnp.int32)
@@ -42,9 +58,38 @@ class ScreenTiles(eqx.Module):
         row = (self.row + jnp.arange(rows, dtype=jnp.int32)) // step
         column = jnp.arange(columns, dtype=jnp.int32) // step
         cell = self.bins.cell(column[None, :], row[:, None]).reshape(-1, 1)
-        rays, state = jax.tree.map(to_tiles, (rays, state))
-        state = self.bins.visit(cell, visitor, rays, state, done)
+        rays, state = jax.tree.map(lambda x: to_tiles(x) if x.ndim else x, (rays, state))
+        state = self.bins.visit(cell, visitor, rays, state, never)
         return jax.tree.map(lambda tiles: from_tiles(tiles, shape), state)
+
+    def visit_nearest(
+        self,
+        cone: PixelCone,
+        max_distance: Callable[[T], PixelArray],
+        visitor: Visitor,
+        rays: Any,
+        state: T,
+    ) -> T:
+        """Lets some pixels test the nearest spheres of their tiles; see `SphereBlocks.visit`."""
+        assert self.cell is not None
+        bins = self.bins
+        first, count = bins.slots(self.cell)
+        everywhere, end = bins.start[1], first + count  # the spheres of the global list come first
+
+        def step(own: tuple[PixelCone, Ids, Ids], slot: Ids, limit: PixelArray) -> Found:
+            cone, first, end = own
+            center, radius, _ = bins.sphere(slot)
+            distance = cone.distance(center, radius)
+            seen = cone.meets(center, radius) & (distance <= limit)
+            new = jnp.where(slot + 1 == everywhere, first, slot + 1)
+            new = jnp.where(new >= end, -1, new)
+            return Found(new, jnp.where(seen, slot, -1), distance)
+
+        start = jnp.where(everywhere > 0, 0, first)
+        start = jnp.where(start < end, start, -1)
+        sphere = lambda slot: bins.sphere_if(slot >= 0, jnp.maximum(slot, 0))
+        search = Search(step, sphere, (cone, first, end), start, count)
+        return visit_nearest(search, max_distance, visitor, rays, state)
 
 
 def tile_count(size: tuple[int, int]) -> int:
@@ -70,16 +115,21 @@ def from_tiles(
 
 
 def screen_bounds(
-    center: Vec, radius: PixelArray, camera: Camera, size: tuple[int, int], rows: Rows
+    center: Vec,
+    radius: PixelArray,
+    camera: Camera,
+    size: tuple[int, int],
+    rows: Rows,
+    pixel: Scalar | float,
 ) -> BinBounds:
     """Bounds spheres on the screen, in tiles.
 
     **Arguments:** `size`: the picture's (width, height) in pixels. `rows`: the block of pixel rows
-    that the tiles cover.
+    that the tiles cover. `pixel`: how far from its ray a pixel reaches, in pixels.
     """
     frame, scale = view_frame(camera), camera.distance / (camera.window / size[1])
     to_center, slack = center - frame.eye, ROUNDING_ULPS * jnp.finfo(radius.dtype).eps
-    radius = radius + norm(to_center) * slack
+    radius = radius + norm(to_center) * (pixel / scale + slack)
     depth = dot(to_center, frame.forward)
     shape = size[0], rows.count
     first = jnp.zeros_like(scale), jnp.asarray(rows.first, scale.dtype)

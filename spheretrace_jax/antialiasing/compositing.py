@@ -6,7 +6,7 @@ layer's colour is that of the mean surface of the part inside its silhouette.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from ..base.safe_math import clamp, larger, smaller
-from ..base.types import Index, Mask, PixelArray
+from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, split, where, zeros
 from ..scene.camera import Ray, unit_ray
 from ..tracing.context import TraceContext
@@ -26,6 +26,7 @@ from ..tracing.path import Path, first_path, next_path, trace_path
 from ..tracing.shading import HIGHLIGHTS, lambert, power, toward_light
 from ..tracing.surface import mean_surface_at
 from ..xla.barriers import barrier
+from ..xla.compaction import add_where
 from ..xla.rematerialization import remat
 from .coverage import half_plane_area
 from .depth_peeling import MOST_LAYERS, Layer, peel_layers
@@ -38,6 +39,8 @@ from .silhouette import (
     silhouette_region,
     surface_crossing,
 )
+
+T = TypeVar("T")
 
 #: How many layers in front, the nearest ones, are cut out of a layer. Each more costs one more side
 #: of every polygon.
@@ -103,24 +106,38 @@ def composite_layers(
     from what it meets, None for never.
     """
     layers, uncovered = visible_layers(context, ray, alive, source_hit)
-    black = zeros(alive.shape, context.dtype)
+    count = alive.size
+    black = zeros((layers.shown.size,), context.dtype)
 
-    def add_layer(color: Vec, inputs: VisibleLayers) -> tuple[Vec, None]:
-        # traced again inside of the branch, which else hands on all that it keeps for the reverse
-        # pass, or as many zeros
-        @remat
-        def add(color: Vec) -> Vec:
-            layer, shown, area = inputs
-            radiance = layer_radiance(context, layer, shown, follow)
-            return color + where(shown, radiance * area, black)
+    def radiance(places: Ids, shown: Mask) -> Vec:
+        number, pixel = places // count, places % count
+        layer, _, area = rows_at(layers, number, pixel, count)
+        seen = layer_radiance(context.at_pixels(pixel), layer, shown, follow)
+        return where(shown, seen * area, zeros(shown.shape, context.dtype))
 
-        return lax.cond(jnp.any(inputs.shown), add, lambda color: color, color), None
-
-    color, _ = lax.scan(add_layer, black, layers)
+    # of most pixels one or two layers show: the shown ones are shaded together, whatever their
+    # number, so many at a time as there are pixels
+    colors = add_where(black, layers.shown.reshape(-1), radiance, count, rematerialize=True)
+    color = jax.tree.map(lambda x: jnp.sum(x.reshape(-1, count), axis=0), colors)
     if context.needs.background:
         sky = background_color(context.scene, ray.value.direction)
-        color = color + where(alive, sky * uncovered, black)
+        color = color + where(alive, sky * uncovered, zeros(alive.shape, context.dtype))
     return color, layers.found
+
+
+def rows_at(rows: T, number: Ids, pixel: Ids, count: int) -> T:
+    """Returns what some rows of pixel arrays hold for some pixels.
+
+    **Arguments:** `rows`: a pytree of arrays of shape `(rows, ..., count)`, or `(rows, ..., 1)`
+    where pixels share it.
+    """
+
+    def take(x: Array) -> Array:
+        at = pixel if x.shape[-1] == count else jnp.zeros_like(pixel)
+        taken = jnp.moveaxis(x, -1, 1).at[number, at].get(mode="promise_in_bounds")
+        return jnp.moveaxis(taken, 0, -1)
+
+    return jax.tree.map(take, rows)
 
 
 def visible_layers(
@@ -201,7 +218,7 @@ def layer_radiance(
     if follow is None:
         return color
 
-    def add_way(color: Vec, choice: Index) -> tuple[Vec, None]:
+    def add_way(color: Vec, choice: Index | Ids) -> tuple[Vec, None]:
         path = secondary_path(context, layer.ray.value, layer.surface, layer.hit, alive, choice)
         return color + trace_path(context, split(path)), None
 
@@ -214,7 +231,7 @@ def layer_radiance(
 
 
 def secondary_path(
-    context: TraceContext, ray: Ray, surface: Surface, hit: Hit, alive: Mask, choice: Index
+    context: TraceContext, ray: Ray, surface: Surface, hit: Hit, alive: Mask, choice: Index | Ids
 ) -> Path:
     """Returns the path mirrored in a mean surface, or straight on, as `next_path` says."""
     path = next_path(context, first_path(ray, hit, alive), choice, surface)

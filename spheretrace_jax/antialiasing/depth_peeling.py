@@ -11,9 +11,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..base.types import Index, Mask, PixelArray
-from ..base.vec import where
+from ..acceleration.sphere_blocks import PixelCone
+from ..base.types import Ids, Index, Mask, PixelArray
+from ..base.vec import norm, where
 from ..scene.camera import Ray
+from ..tracing.candidates import nearest_in_cone
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit
@@ -79,7 +81,7 @@ def _peel_two(
     context: TraceContext, ray: Differential[Ray], source_hit: Hit | None, state: _State
 ) -> tuple[_State, tuple[Layer, Mask]]:
     """Peels the next two layers."""
-    found = next_layers(context, ray, state.last, source_hit)
+    found = next_layers(context, ray, state, source_hit)
     layers, shown, alive = [], [], state.alive
     for k in range(2):
         behind = found[k + 1].hit if context.needs.crossings else None
@@ -102,25 +104,39 @@ def most_layers(context: TraceContext) -> int:
 
 
 def next_layers(
-    context: TraceContext, ray: Differential[Ray], last: Candidate, source_hit: Hit | None
+    context: TraceContext, ray: Differential[Ray], state: _State, source_hit: Hit | None
 ) -> list[Candidate]:
     """Finds the closest two objects, three where they may cut one another, behind the last one."""
+    last, alive = state
     shape, tables = last.t.shape, context.tables
-    nowhere = jnp.full(shape, False)
 
-    def candidate(number: Index, inside: Mask, t: PixelArray, covers_all: Mask) -> Candidate:
-        return Candidate(Hit(jnp.full(shape, number).astype(tables.id_type), inside), t, covers_all)
+    def candidate(number: Ids | Index, inside: Mask, t: PixelArray, covers_all: Mask) -> Candidate:
+        number = jnp.broadcast_to(number, t.shape).astype(tables.id_type)
+        return Candidate(Hit(number, inside), t, covers_all)
 
-    def insert(object_: Sphere | Plane, number: Index, best: list[Candidate]) -> list[Candidate]:
-        is_source = nowhere if source_hit is None else source_hit.id == number
+    def insert(
+        pixels: tuple, object_: Sphere | Plane, number: Ids | Index, best: list[Candidate]
+    ) -> list[Candidate]:
+        ray, last, source_hit = pixels
+        is_source = jnp.full(last.t.shape, False) if source_hit is None else source_hit.id == number
         source_inside = None if source_hit is None else source_hit.inside
         covers = object_.pixel_coverage(ray, is_source, source_inside, context.needs.inside)
         new = candidate(number, covers.inside, covers.t, covers.all)
         return _insert(best, last, new, covers.some)
 
+    nowhere = jnp.full(shape, False)
     nothing = candidate(-1, nowhere, jnp.full(shape, jnp.inf, context.dtype), nowhere)
     best = [nothing] * (3 if context.needs.crossings else 2)
-    return context.fold(insert, best, unroll=0)
+    width = (norm(ray.dx.origin) + norm(ray.dy.origin)) / 2
+    spread = (norm(ray.dx.direction) + norm(ray.dy.direction)) / 2
+    cone = PixelCone(ray.value, width, spread, last.t)
+    seen = nearest_in_cone(context, cone, alive, source_hit, _last_depth)
+    return context.fold(insert, (ray, last, source_hit), best, candidates=seen, unroll=0)
+
+
+def _last_depth(best: list[Candidate]) -> PixelArray:
+    """Returns how deep the last of the closest objects lies, infinite where there are fewer."""
+    return best[-1].t
 
 
 def _insert(
@@ -130,7 +146,8 @@ def _insert(
     after = (new.t > last.t) | (new.t == last.t) & (new.hit.id > last.hit.id)
     # a barrier, or all of it is found again for each part of what is carried
     new, covers = barrier((new, covers & after & (new.t > 0)))
-    closer = [covers & (new.t < old.t) for old in best]
+    nearer = lambda old: (new.t < old.t) | (new.t == old.t) & (new.hit.id < old.hit.id)
+    closer = [covers & nearer(old) for old in best]
     here = [where(sooner, new, old) for sooner, old in zip(closer, best, strict=True)]
     moved = zip(closer, best, here[1:], strict=False)
     return [here[0], *(where(sooner, old, next_) for sooner, old, next_ in moved)]

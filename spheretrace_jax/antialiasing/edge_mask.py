@@ -12,13 +12,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..acceleration.sphere_blocks import PixelCone
 from ..base.safe_math import safe_sqrt
-from ..base.types import Index, Mask, PixelArray
+from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, vec
 from ..scene.camera import Ray
+from ..tracing.candidates import cone_candidates, shadow_candidates
 from ..tracing.cone import LEAST_COS_VIEW, RayCone
 from ..tracing.context import TraceContext
-from ..tracing.hit import Hit, PixelHit, Surface, shadow_segment
+from ..tracing.hit import Hit, PixelHit, ShadowSegment, Surface, shadow_segment
 from ..tracing.queries import shadow_scale
 from ..tracing.shading import HIGHLIGHTS
 from ..tracing.shapes.plane import Plane
@@ -36,24 +38,44 @@ class _Footprint(eqx.Module):
     radius: PixelArray  #: the radius of the pixel's footprint on the surface
 
 
+class _Pixels(eqx.Module):
+    """What objects are told of pixels whose edges are looked for."""
+
+    ray: Ray
+    cone: RayCone
+    t: PixelArray  #: the distance to the hit, infinite where there is none
+    cone_radius: PixelArray  #: the radius of the ray's cone at the hit
+    steep: PixelArray  #: how much the depth of the surface hit varies across the pixel
+    id: Ids  #: of the object hit
+    is_sphere: Mask  #: true where a sphere is hit
+    source: Ids | None  #: the number of the object that the ray starts from; None for the eye
+
+
 def edge_mask(
-    context: TraceContext, ray: Ray, cone: RayCone, hit: Hit, source_hit: Hit | None = None
+    context: TraceContext,
+    ray: Ray,
+    cone: RayCone,
+    hit: Hit,
+    source_hit: Hit | None = None,
+    alive: Mask | None = None,
 ) -> Mask:
     """Tests whether any edge may run through the pixels of rays.
 
     **Arguments:** `hit`: what the rays meet. `source_hit`: the hit that the rays start from, None
-    for rays from the eye.
+    for rays from the eye. `alive`: the pixels that have rays, None for all; others have no edges.
     """
     needs, lights = context.needs, context.scene.lights.position
     context, lights, ray, cone, hit = jax.lax.stop_gradient((context, lights, ray, cone, hit))
-    edge = context.compute_once(lambda: _object_edges(context, ray, cone, hit, source_hit))
+    alive = jnp.full(hit.id.shape, True) if alive is None else alive
+    edge = context.compute_once(lambda: _object_edges(context, ray, cone, hit, source_hit, alive))
     if not needs.shadows and not needs.highlights:
         return edge
 
     def add_light(k: Index, edge: Mask) -> Mask:
         light, shadows = vec(lights[k]), needs.shadows_of(k)
-        return edge | (hit.id >= 0) & context.compute_once(
-            lambda: _light_edges(context, ray, cone, hit, light, shadows)
+        look = alive & (hit.id >= 0)
+        return edge | look & context.compute_once(
+            lambda: _light_edges(context, ray, cone, hit, light, shadows, look & ~edge)
         )
 
     return loop(len(lights), add_light, edge)
@@ -68,36 +90,51 @@ def _footprint(context: TraceContext, ray: Ray, cone: RayCone, hit: Hit) -> _Foo
 
 
 def _object_edges(
-    context: TraceContext, ray: Ray, cone: RayCone, hit: Hit, source_hit: Hit | None
+    context: TraceContext,
+    ray: Ray,
+    cone: RayCone,
+    hit: Hit,
+    source_hit: Hit | None,
+    alive: Mask,
 ) -> Mask:
     """Tests for silhouettes, horizons, and lines where objects cut the surface that is hit."""
-    pixel = _footprint(context, ray, cone, hit)
+    crossings = context.needs.crossings
+    foot = _footprint(context, ray, cone, hit)
+    steep = safe_sqrt(foot.radius * foot.radius - foot.cone_radius * foot.cone_radius)
     is_sphere = context.tables.is_sphere(hit.id)
+    source = None if source_hit is None else source_hit.id
+    pixels = _Pixels(ray, cone, foot.t, foot.cone_radius, steep, hit.id, is_sphere, source)
 
-    def add_silhouette(object_: Sphere | Plane, number: Index, edge: Mask) -> Mask:
-        is_source = None if source_hit is None else source_hit.id == number
-        seen = PixelHit(pixel.t, hit.id != number, is_sphere, is_source)
-        return edge | object_.near_silhouette(ray, cone, seen)
-
-    edge = context.fold(add_silhouette, jnp.full(pixel.t.shape, False))
-    if not context.needs.crossings:
-        return edge
-    steep = safe_sqrt(pixel.radius * pixel.radius - pixel.cone_radius * pixel.cone_radius)
-
-    def add_crossing(object_: Sphere | Plane, number: Index, edge: Mask) -> Mask:
-        return edge | object_.near_crossing(ray, pixel.cone_radius, steep, pixel.t) & (
-            hit.id != number
+    def add(pixel: _Pixels, object_: Sphere | Plane, number: Ids | Index, edge: Mask) -> Mask:
+        is_source = None if pixel.source is None else pixel.source == number
+        is_other = pixel.id != number
+        seen = PixelHit(pixel.t, is_other, pixel.is_sphere, is_source)
+        edge = edge | object_.near_silhouette(pixel.ray, pixel.cone, seen)
+        if not crossings:
+            return edge
+        return edge | is_other & object_.near_crossing(
+            pixel.ray, pixel.cone_radius, pixel.steep, pixel.t
         )
 
-    return context.fold(add_crossing, edge)
+    end = foot.t + steep + foot.cone_radius if crossings else foot.t
+    width = PixelCone(ray, cone.radius, cone.spread, end=end)
+    seen = cone_candidates(context, width, alive, source_hit)
+    return context.fold(add, pixels, jnp.full(alive.shape, False), candidates=seen) & alive
 
 
 def _light_edges(
-    context: TraceContext, ray: Ray, cone: RayCone, hit: Hit, light: Vec, shadows: bool
+    context: TraceContext,
+    ray: Ray,
+    cone: RayCone,
+    hit: Hit,
+    light: Vec,
+    shadows: bool,
+    look: Mask,
 ) -> Mask:
     """Tests whether a light's shadow ends, or N.L = 0 cuts its highlight off.
 
-    **Arguments:** `shadows`: false where no object can stand in the light's way.
+    **Arguments:** `shadows`: false where no object can stand in the light's way. `look`: the pixels
+    to look at; others may be set or not.
     """
     pixel, needs = _footprint(context, ray, cone, hit), context.needs
     scale = shadow_scale(context, light)
@@ -105,12 +142,21 @@ def _light_edges(
     segment = shadow_segment(pixel.surface.point * scale, light * scale)
     facing = dot(pixel.surface.normal, segment.to_light)  # N.L times the light's distance
 
-    def add_shadow(object_: Sphere | Plane, number: Index, edge: Mask) -> Mask:
-        return edge | object_.near_shadow_edge(segment, radius) & (hit.id != number)
+    def add_shadow(
+        pixels: tuple[ShadowSegment, PixelArray, Ids],
+        object_: Sphere | Plane,
+        number: Ids | Index,
+        edge: Mask,
+    ) -> Mask:
+        segment, radius, own = pixels
+        return edge | object_.near_shadow_edge(segment, radius) & (own != number)
 
     edge = jnp.full(facing.shape, False)
     if shadows:
-        edge = context.fold(add_shadow, edge, scale=scale) & (facing > 0)
+        look, done = look & (facing > 0), lambda edge: edge
+        near = shadow_candidates(context, light, pixel.surface.point, pixel.radius, look, done)
+        pixels = segment, radius, hit.id
+        edge = context.fold(add_shadow, pixels, edge, candidates=near, scale=scale) & (facing > 0)
     if needs.highlights:
         # across the footprint it changes by at most its radius times this
         change = norm(segment.to_light) * context.curvature_of_hit(hit) / scale + 1

@@ -4,21 +4,25 @@ Edges are covered at the first hit and as they are seen in the first reflection 
 bubble; what is seen after a second one is point-sampled.
 """
 
+from functools import partial
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from ..base.types import Index, Mask, PixelArray
-from ..base.vec import Vec, spread, where, zeros
+from ..base.types import Ids, Index, Mask, PixelArray
+from ..base.vec import Vec, where, zeros
 from ..scene.camera import Ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit, Surface
 from ..tracing.path import Path, continues, first_path
+from ..xla.compaction import nth_set
 from ..xla.rematerialization import remat
-from .compositing import Layers, composite_layers, secondary_path
+from .compositing import Layers, composite_layers, rows_at, secondary_path
 from .depth_peeling import most_layers
 from .silhouette import mean_surface, silhouette_distance
 
@@ -31,20 +35,28 @@ def pixel_radiance(context: TraceContext, ray: Differential[Ray], alive: Mask) -
     """
     if not context.settings.bounces:
         return composite_layers(context, ray, alive)[0]
-    shape, ways = alive.shape, 2 if context.needs.branching else 1
+    most, ways = most_layers(context), 2 if context.needs.branching else 1
+    shape, count = alive.shape, alive.size
     nothing = Hit(jnp.full(shape, -1, context.tables.id_type), jnp.full(shape, False))
-    zero = jnp.zeros(shape, context.dtype)
-    row = Layers(nothing, jnp.full(shape, False), zero)
-    most = most_layers(context)
+    row = Layers(nothing, jnp.full(shape, False), jnp.zeros(shape, context.dtype))
     none = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *shape)), row)
     looks = _Looks(context, ray, alive, nothing, none, ways)
-    # one loop over the ray from the eye, number 0, and those on from the layers that it meets:
+    # one loop over the rays from the eye, number 0, and those on from the layers that they meet:
     # what rays see is compiled once (first calls of 5.2 and 8.8 s with a bounce, without and with
     # shadows, where two copies take 6.0 and 11; gradients take a tenth longer for it)
-    numbers = jnp.arange(1 + most * ways, dtype=jnp.int32)
+    firsts = jnp.arange(-1, most * ways, dtype=jnp.int32) * count
     # no bound method: `scan` hashes its function, and a module of arrays has no hash
-    add = lambda state, number: looks.add(state, number)
-    return lax.scan(add, (zeros(shape, context.dtype), none), numbers)[0][0]
+    add = lambda state, first: looks.add(state, first)
+    return lax.scan(add, (zeros(shape, context.dtype), none), firsts)[0][0]
+
+
+class _Look(NamedTuple):
+    """Rays that look on, from the eye or from layers."""
+
+    pixel: Ids  #: which of the pixels
+    layer: Ids  #: from which of its layers; any for the eye
+    choice: Ids  #: 0 to reflect, 1 to go straight on
+    alive: Mask
 
 
 class _Looks(eqx.Module):
@@ -57,49 +69,71 @@ class _Looks(eqx.Module):
     none: Layers  #: no layers
     ways: int = eqx.field(static=True)  #: 2 where paths branch, else 1
 
-    def add(self, state: tuple[Vec, Layers], number: Index) -> tuple[tuple[Vec, Layers], None]:
-        """Adds the colours that look `number` sees, 0 being that from the eye."""
+    def add(self, state: tuple[Vec, Layers], rank: Index) -> tuple[tuple[Vec, Layers], None]:
+        """Adds the colours that some rays see.
+
+        **Arguments:** `rank`: -1 or less for all rays from the eye; else the first one of the rays
+        on from the layers.
+        """
         color, seen = state
-        first, behind = jnp.asarray(number == 0), jnp.maximum(number - 1, 0)
-        layer, choice = seen.layer(behind // self.ways), behind % self.ways
-        path = first_path(self.ray.value, layer.hit, layer.shown)
-        alive = jnp.where(first, self.alive, continues(self.context, path, choice))
+        first = jnp.asarray(rank < 0)
+        look = lax.cond(first, lambda _: self._all(), lambda seen: self._next(seen, rank), seen)
 
         @remat
-        def see(color: Vec, layer: Layers) -> tuple[Vec, Layers]:
-            return self._see(color, layer, first, choice, alive)
+        def see(color: Vec, seen: Layers) -> tuple[Vec, Layers]:
+            return self._see(color, seen, first, look)
 
         stop = lambda color, _: (color, self.none)
-        color, layers = lax.cond(jnp.any(alive), see, stop, color, layer)
+        color, layers = lax.cond(jnp.any(look.alive), see, stop, color, seen)
         return (color, where(first, layers, seen)), None
 
+    def _all(self) -> _Look:
+        """Returns the looks of all pixels from the eye."""
+        pixel = jnp.arange(self.alive.size, dtype=jnp.int32)
+        return _Look(pixel, jnp.zeros_like(pixel), jnp.zeros_like(pixel), self.alive)
+
+    def _next(self, seen: Layers, rank: Index) -> _Look:
+        """Returns the looks on from layers, as many as there are pixels, from a rank on."""
+        count = self.alive.size
+        ray = self.ray.value
+
+        def goes_on(layer: Layers, choice: Index) -> Mask:
+            return continues(self.context, first_path(ray, layer.hit, layer.shown), choice)
+
+        alive = [jax.vmap(partial(goes_on, choice=k))(seen) for k in range(self.ways)]
+        total, select = nth_set(jnp.stack(alive).reshape(-1))
+        ranks = rank + jnp.arange(count, dtype=jnp.int32)
+        valid = ranks < total
+        place = jnp.where(valid, select(jnp.where(valid, ranks, 0)), 0)
+        layer = place // count
+        layers = seen.shown.shape[0]
+        return _Look(place % count, layer % layers, layer // layers, valid)
+
     def _see(
-        self, color: Vec, layer: Layers, first: Bool[Array, ""], choice: Index, alive: Mask
+        self, color: Vec, seen: Layers, first: Bool[Array, ""], look: _Look
     ) -> tuple[Vec, Layers]:
-        bounces = self.context.settings.bounces
-        ray, source_hit, weight = lax.cond(
-            first, lambda: self._from_eye(), lambda: self._from_layer(layer, choice)
-        )
+        bounces, count = self.context.settings.bounces, self.alive.size
+        context = self.context.at_pixels(look.pixel)
+        rays = jax.tree.map(lambda x: x[None], self.ray)
+        from_eye = rows_at(rays, jnp.zeros_like(look.pixel), look.pixel, count)
+        layer = rows_at(seen, look.layer, look.pixel, count)
+
+        def from_layer() -> tuple[Differential[Ray], Hit, PixelArray]:
+            shown = look.alive
+            ray, path = secondary_differential(context, from_eye, layer.hit, shown, look.choice)
+            return ray, path.hit, path.weight * layer.area
+
+        from_nothing = lambda: (from_eye, self.nothing, jnp.ones(look.alive.shape, context.dtype))
+        ray, source_hit, weight = lax.cond(first, from_nothing, from_layer)
         follow = ~first if bounces > 1 else None
-        context = self.context.with_settings(bounces=max(bounces - 2, 0))
-        new, layers = composite_layers(context, ray, alive, source_hit, follow)
-        return color + new * weight, layers
-
-    def _from_eye(self) -> tuple[Differential[Ray], Hit, PixelArray]:
-        shape = self.alive.shape
-        ray = spread(self.ray, shape)
-        return ray, self.nothing, jnp.ones(shape, self.context.dtype)
-
-    def _from_layer(
-        self, layer: Layers, choice: Index
-    ) -> tuple[Differential[Ray], Hit, PixelArray]:
-        """Returns the ray on from a layer, the hit that it starts from, and its weight."""
-        ray, path = secondary_differential(self.context, self.ray, layer.hit, layer.shown, choice)
-        return ray, path.hit, path.weight * layer.area
+        context = context.with_settings(bounces=max(bounces - 2, 0))
+        new, layers = composite_layers(context, ray, look.alive, source_hit, follow)
+        add = lambda x, new: x.at[look.pixel].add(jnp.where(look.alive, new, 0))
+        return jax.tree.map(add, color, new * weight), layers
 
 
 def secondary_differential(
-    context: TraceContext, ray: Differential[Ray], hit: Hit, alive: Mask, choice: Index
+    context: TraceContext, ray: Differential[Ray], hit: Hit, alive: Mask, choice: Index | Ids
 ) -> tuple[Differential[Ray], Path]:
     """Returns the rays on from a layer with their differentials, and the path at their centre."""
 

@@ -3,6 +3,8 @@
 The lecture's lights are points, so shadows are sharp; only a pixel can be partly in shadow.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,7 @@ from ..base.safe_math import clamp, larger, safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit, where
 from ..scene.camera import Ray, unit_ray
+from ..tracing.candidates import nearest_shadow_candidates
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit, ShadowedPixel
@@ -21,6 +24,7 @@ from ..tracing.shapes.sphere import Sphere, from_light
 from ..tracing.surface import surface_at
 from ..xla.barriers import barrier
 from ..xla.compaction import replace_where
+from ..xla.gather import smallest_int, take_pixels
 from .coverage import disc_region
 from .polygon import HalfPlane, Polygon, clipped_area, half_plane_of, whole_pixel
 
@@ -72,10 +76,8 @@ def lit_coverage(
     @jax.checkpoint
     def outside_shadow(places: Ids, _: Mask) -> HalfPlane:
         at = places % count
-        # rays from the eye have one origin for all
-        pick = lambda x: x[..., at] if x.shape[-1:] == (count,) else x
-        shaded_ = barrier(jax.tree.map(pick, shaded))
-        light_ = jax.tree.map(pick, light)
+        shaded_, light_ = take_pixels((shaded, light), at, count)
+        shaded_ = barrier(shaded_)
         return ~_shadow_half_plane(context.at_pixels(at), shaded_, number[places], light_)
 
     def cut() -> PixelArray:
@@ -187,6 +189,13 @@ def _find_zero(
     return (x + step * right, y + step * down), near_rim
 
 
+class _Edge(NamedTuple):
+    """The edge of an object's shadow in pixels."""
+
+    number: Ids  #: the object's, the number of objects for none
+    center: Mask  #: true where the middle of what is seen is dark
+
+
 def _find_occluders(
     context: TraceContext, shaded: _Shaded, light: Vec
 ) -> tuple[Mask, tuple[Ids, ...]]:
@@ -195,18 +204,42 @@ def _find_occluders(
     hit, middle = shaded.hit, shaded.middle
     point = shaded.ray.at(*middle).map(lambda ray: surface_at(context, unit_ray(ray), hit).point)
     pixel = ShadowedPixel(point, middle, light, norm(light - point.value))
+    # near a rim the derivatives grow without bound, but no pixel sees more than all of a sphere
+    footprint, size = pixel.footprint, 2 * context.sphere(hit.id).radius
+    beyond = context.tables.is_sphere(hit.id) & (footprint > size)
+    shrink = jnp.where(beyond, size / jnp.where(beyond, footprint, 1), 1)
+    slopes = jax.tree.map(lambda slope: slope * shrink[None, None], point.slopes)
+    pixel = eqx.tree_at(lambda p: p.point.slopes, pixel, slopes)
 
-    def add(object_: Sphere | Plane, number: Index, state: tuple) -> tuple:
-        occluded, edges = state
+    count, shape = context.tables.object_count, pixel.light_distance.shape
+
+    def add(pixels: tuple, object_: Sphere | Plane, number: Ids | Index, state: tuple) -> tuple:
+        (pixel, hit), (occluded, edges) = pixels, state
         is_own = hit.id == number
         dark = object_.shadow_coverage(pixel, is_own, hit.inside, context.needs.inside)
         crosses = dark.some & ~dark.all
-        occluded = occluded | dark.all | crosses & (edges[-1] >= 0) & dark.center
-        crosses = crosses & (edges[-1] < 0)
-        moved = (jnp.full(occluded.shape, number, edges[0].dtype), *edges[:-1])
-        pairs = zip(moved, edges, strict=True)
-        return occluded, tuple(jnp.where(crosses, new, old) for new, old in pairs)
+        new = jnp.where(crosses, number, count).astype(edges[0].number.dtype)
+        new, kept = _Edge(new, dark.center), []
+        # the first ones by number, so that their order does not matter, nor whether one comes again
+        for edge in edges:
+            new = _Edge(jnp.where(new.number == edge.number, count, new.number), new.center)
+            sooner = new.number < edge.number
+            kept.append(where(sooner, new, edge))
+            new = where(sooner, edge, new)
+        return occluded | dark.all | (new.number < count) & new.center, tuple(kept)
 
-    shape = pixel.light_distance.shape
-    none = jnp.full(shape, -1, context.tables.id_type)
-    return context.fold(add, (jnp.full(shape, False), (none,) * EDGES), unroll=0)
+    nowhere = jnp.full(shape, False)
+    nothing = _Edge(jnp.full(shape, count, smallest_int(count + 1)), nowhere)
+    done = lambda state: state[0]
+    radius = pixel.footprint
+    if (
+        context.needs.inside
+    ):  # the sphere that is seen from inside, where the mean point lies off it
+        away = norm(point.value - context.sphere(hit.id).center)
+        radius = jnp.where(hit.inside, larger(radius, away), radius)
+    near = nearest_shadow_candidates(context, light, point.value, radius, hit.id >= 0, done)
+    occluded, edges = context.fold(
+        add, (pixel, hit), (nowhere, (nothing,) * EDGES), candidates=near, unroll=0
+    )
+    numbers = (jnp.where(e.number < count, e.number, -1) for e in edges)
+    return occluded, tuple(x.astype(context.tables.id_type) for x in numbers)

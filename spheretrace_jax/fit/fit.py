@@ -50,9 +50,9 @@ class Fit(eqx.Module):
     result: optx.RESULTS  #: whether the solver converged; a readable message if not
     steps: int  #: evaluations of the picture and its Jacobian, from all starts together
     cost: float  #: half the sum of the squared residuals
-    #: the least so far, after every step; first those of wider pixels. Covered edges of shadows stay
-    #: where lights were when the edges were traced, which may change costs by 1e-3 of them: when
-    #: they are traced again costs are measured anew, and may be larger
+    #: the least so far, after every step; first those of wider pixels. Covered edges of shadows
+    #: stay where lights were when the edges were traced, which may change costs by 1e-3 of them:
+    #: when they are traced again costs are measured anew, and may be larger
     costs: tuple[float, ...]
     left_out: int  #: how many of the targets' numbers do not count: clipped, masked or too dark
     counted: int  #: how many do

@@ -84,7 +84,8 @@ def area_radiance(context: TraceContext, pixels: Ids, alive: Mask, left: Array, 
 
     **Arguments:** as for `point_radiance`; `alive`: which pixels count; others are 0.
     """
-    return pixel_radiance(context, eye_differentials(context, pixels, left, top), alive)
+    ray = eye_differentials(context, pixels, left, top)
+    return pixel_radiance(context.of_pixels(pixels), ray, alive)
 
 
 def eye_differentials(

@@ -166,7 +166,7 @@ class _Bounces(eqx.Module):
         hit = closest_hit(context, path.ray, path.hit)
         edge = jnp.full(alive.shape, False)
         if (cone := path.cone) is not None:
-            look = lambda: edge_mask(context, path.ray, cone, hit, path.hit)
+            look = lambda: edge_mask(context, path.ray, cone, hit, path.hit, alive)
             edge = lax.cond(number == 1, look, lambda: edge)
         path = eqx.tree_at(lambda p: p.hit, path, hit)
         further = continues(context, path, self.choices >> number & 1)

@@ -5,11 +5,14 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from ..acceleration.accelerator import Accelerator, build_accelerator
+from ..acceleration.binning import Visitor
 from ..base.types import Ids, Index, PixelArray, Scalar
+from ..base.vec import Vec
 from ..scene.lights import Lights
 from ..scene.needs import Needs
 from ..scene.scene import Scene
@@ -23,6 +26,10 @@ from .shapes.sphere import Sphere
 from .tables import Material, PixelTables, SceneTables, build_tables, table_row
 
 T = TypeVar("T")
+P = TypeVar("P")
+
+Candidates = Callable[[Visitor, Any, T], T]
+"""Lets pixels test some of the spheres: from a visitor, what it is told of pixels, and states."""
 
 
 class TraceContext(eqx.Module):
@@ -61,7 +68,15 @@ class TraceContext(eqx.Module):
         """Returns the context of a strip of full rows of pixels that starts at `first_row`."""
         if self.accelerator is None:
             return self
-        return eqx.tree_at(lambda c: c.accelerator, self, self.accelerator.from_row(first_row))
+        return dataclasses.replace(self, accelerator=self.accelerator.from_row(first_row))
+
+    def of_pixels(self, pixels: Ids) -> "TraceContext":
+        """Returns the context of some pixels, by their numbers, of the rows that are computed."""
+        if self.accelerator is None:
+            return self
+        width = self.settings.width
+        place = self.accelerator.of_pixels(pixels % width, pixels // width)
+        return dataclasses.replace(self, accelerator=place)
 
     def with_settings(self, **changes: Any) -> "TraceContext":
         """Returns the context with some of its settings changed."""
@@ -72,8 +87,11 @@ class TraceContext(eqx.Module):
         return dataclasses.replace(self, pixel_tables=tables)
 
     def with_lights(self, lights: Lights) -> "TraceContext":
-        """Returns the context with other lights, such as lights that each pixel has for itself."""
-        return eqx.tree_at(lambda c: c.scene.lights, self, lights)
+        """Returns the context with other lights, such as lights that each pixel has for itself.
+
+        It is not accelerated: there are light buffers only for the scene's own lights.
+        """
+        return eqx.tree_at(lambda c: c.scene.lights, self.unaccelerated(), lights)
 
     def of_scene(self, scene: Scene) -> "TraceContext":
         """Returns the context of another scene with the same shapes, which is not accelerated."""
@@ -85,9 +103,13 @@ class TraceContext(eqx.Module):
 
     def at_pixels(self, places: Ids) -> "TraceContext":
         """Returns the context of the pixels at some places of a flat list."""
-        if self.pixel_tables is None:
-            return self
-        return self.with_pixel_tables(self.pixel_tables.at_pixels(places))
+        context, lights = self, self.scene.lights
+        if self.pixel_tables is not None:
+            context = context.with_pixel_tables(self.pixel_tables.at_pixels(places))
+        if lights.position.ndim > 2 or lights.color.ndim > 2:
+            own = lambda x: x[..., places] if x.ndim > 2 else x
+            context = context.with_lights(jax.tree.map(own, lights))
+        return context
 
     # -- rows of the tables, per pixel
 
@@ -122,22 +144,35 @@ class TraceContext(eqx.Module):
 
     def fold(
         self,
-        body: Callable[[Sphere | Plane, Index, T], T],
+        body: Callable[[P, Sphere | Plane, Ids | Index, T], T],
+        pixels: P,
         start: T,
         *,
+        candidates: Candidates | None = None,
         spheres: bool = True,
         planes: bool = True,
         scale: Scalar | None = None,
         unroll: int = UNROLL,
     ) -> T:
-        """Folds `body` over all objects: from an object, its number and a state to the next state.
+        """Folds `body` over all objects.
 
-        **Arguments:** `spheres`, `planes`: false to leave out a shape that is looked at in another
-        way. `scale`: of the objects' lengths, None for 1. `unroll`: loops over at most this many
-        objects are written out.
+        **Arguments:** `body`: from what is known of pixels, an object, its number and a state to
+        the next state. `candidates`: visits the spheres that may matter to each pixel, None for
+        all of them; spheres then come in any order, and more than once. `spheres`, `planes`: false
+        to leave out a shape that is looked at in another way. `scale`: of the objects' lengths,
+        None for 1. `unroll`: loops over at most this many objects are written out.
         """
         shapes: list[tuple[Sphere | Plane, int, int]] = []
-        if spheres:
+        if candidates is not None:
+
+            def visit(pixels: P, center: Vec, radius: PixelArray, number: Ids, state: T) -> T:
+                sphere, number = Sphere(center, radius), number.astype(self.tables.id_type)
+                return body(
+                    pixels, sphere if scale is None else sphere.scaled(scale), number, state
+                )
+
+            start = candidates(visit, pixels, start)
+        elif spheres:
             shapes.append((self.tables.spheres, 0, self.tables.sphere_count))
         if planes and self.needs.planes:
             shapes.append((self.tables.planes, self.tables.sphere_count, self.tables.plane_count))
@@ -145,7 +180,7 @@ class TraceContext(eqx.Module):
             rows = table if scale is None else table.scaled(scale)
 
             def of_object(i: Index, state: T, rows=rows, first=first) -> T:
-                return body(table_row(rows, i), i + first if first else i, state)
+                return body(pixels, table_row(rows, i), i + first if first else i, state)
 
             start = loop(count, of_object, start, unroll)
         return start

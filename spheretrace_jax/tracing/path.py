@@ -95,13 +95,13 @@ def light_terms_at(
     return context.compute_pair_once(terms) if highlight else terms()
 
 
-def continues(context: TraceContext, path: Path, choice: Index) -> Mask:
+def continues(context: TraceContext, path: Path, choice: Index | Ids) -> Mask:
     """Tests which paths do not end at their present hit."""
     return _alive(context, path, path.weight * _turn(context, path.hit, choice)[1])
 
 
 def next_path(
-    context: TraceContext, path: Path, choice: Index, surface: Surface | None = None
+    context: TraceContext, path: Path, choice: Index | Ids, surface: Surface | None = None
 ) -> Path:
     """Returns the path mirrored in what it hits, or straight on through that, with its weight.
 
@@ -126,7 +126,7 @@ def next_path(
     return Path(Ray(surface.point, direction), hit, weight, alive, cone)
 
 
-def turn_number(context: TraceContext, hit: Hit, choice: Index) -> Ids:
+def turn_number(context: TraceContext, hit: Hit, choice: Index | Ids) -> Ids:
     """Returns which of `all_turns` a path's weight is multiplied by as it goes on from a hit."""
     straight, _ = _turn(context, hit, choice)
     number = hit.id.astype(jnp.int32)
@@ -141,7 +141,7 @@ def all_turns(context: TraceContext) -> Float[Array, " turns"]:
     return jnp.concatenate([materials.kgr, materials.kt, jnp.ones(1, context.dtype)])
 
 
-def _turn(context: TraceContext, hit: Hit, choice: Index) -> tuple[Mask | None, PixelArray]:
+def _turn(context: TraceContext, hit: Hit, choice: Index | Ids) -> tuple[Mask | None, PixelArray]:
     """Returns which paths go straight on, None for none, and the kgr or kt of the way they take."""
     needs = context.needs
     kgr, kt = context.material(hit.id, lambda m: (m.kgr, m.kt))

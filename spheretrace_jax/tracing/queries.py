@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
 from ..acceleration.binning import Visitor
-from ..acceleration.light_buffer import LightBuffer
 from ..acceleration.screen_tiles import ScreenTiles
 from ..acceleration.uniform_grid import UniformGrid
 from ..base.safe_math import to_order_one
@@ -55,24 +54,23 @@ def _closest_object(context: TraceContext, ray: Ray, source_hit: Hit | None) -> 
     shape = ray.direction.x.shape
     best = jnp.full(shape, jnp.inf, context.dtype), jnp.full(shape, -1, jnp.int32)
 
-    def meet(object_: Sphere | Plane, number: Index, best: Best) -> Best:
+    def meet(ray: Ray, object_: Sphere | Plane, number: Ids | Index, best: Best) -> Best:
         return _closer(best, *_meet(object_, ray, source_hit, number, may_be_inside), number)
 
     visitor, all_spheres = partial(_visit, ray, may_be_inside), False
-    if accelerator is not None and source_hit is None and accelerator.screen_tiles.row is not None:
+    if accelerator is not None and source_hit is None and accelerator.screen_tiles.located:
         best = _unpack(_visit_tiles(accelerator.screen_tiles, ray, visitor, _pack(best)))
     elif accelerator is not None and accelerator.uniform_grid is not None:
         best = _unpack(_visit_grid(accelerator.uniform_grid, ray, source_hit, visitor, _pack(best)))
     else:
         all_spheres = True
-    best = context.fold(meet, best, spheres=all_spheres)
+    best = context.fold(meet, ray, best, spheres=all_spheres)
     return best[1].astype(context.tables.id_type)
 
 
 def _visit_tiles(tiles: ScreenTiles, ray: Ray, visitor: Visitor, best: Packed) -> Packed:
     """Finds the closest spheres of rays from the eye, with the spheres of their tiles."""
-    never = lambda best: jnp.full(best.shape, False)
-    return tiles.visit((ray.direction, None, None), visitor, best, never)
+    return tiles.visit(visitor, (ray.direction, None, None), best)
 
 
 def _visit_grid(
@@ -183,53 +181,21 @@ def light_visible(context: TraceContext, point: Vec, hit: Hit, light: Vec) -> Ma
     segment = shadow_segment(point * scale, light * scale)
     none = jnp.full(segment.square.shape, False)
 
-    def occlude(object_: Sphere | Plane, number: Ids | Index, occluded: Mask) -> Mask:
-        return occluded | _occludes(context, object_, segment, hit, number)
+    def occlude(
+        pixels: tuple[ShadowSegment, Hit],
+        object_: Sphere | Plane,
+        number: Ids | Index,
+        occluded: Mask,
+    ) -> Mask:
+        segment, hit = pixels
+        is_own = hit.id == number
+        return occluded | object_.occludes(segment, is_own, hit.inside, context.needs.inside)
 
-    if accelerator is None or accelerator.light_buffers is None:
-        return ~context.fold(occlude, none, scale=scale)
-    known, light_buffer = accelerator.light_buffer(light)
-    occluded = jax.lax.cond(
-        known,
-        lambda buffer: _occluded_by_listed(context, buffer, point, segment, hit, scale),
-        lambda _: context.fold(occlude, none, planes=False, scale=scale),
-        light_buffer,
-    )
-    return ~context.fold(occlude, occluded, spheres=False, scale=scale)
-
-
-def _occludes(
-    context: TraceContext,
-    object_: Sphere | Plane,
-    segment: ShadowSegment,
-    hit: Hit,
-    number: Ids | Index,
-) -> Mask:
-    is_own = hit.id == number
-    return object_.occludes(segment, is_own, hit.inside, context.needs.inside)
-
-
-def _occluded_by_listed(
-    context: TraceContext,
-    light_buffer: LightBuffer,
-    point: Vec,
-    segment: ShadowSegment,
-    hit: Hit,
-    scale: Scalar,
-) -> Mask:
-    """Tests segments against the spheres that the light buffer lists for their points."""
-
-    def visit(rays: tuple, center: Vec, radius: PixelArray, number: Ids, occluded: Mask) -> Mask:
-        segment_, hit_ = rays
-        segment_ = ShadowSegment(segment_[0], segment.light, segment_[1], segment_[2])
-        sphere = Sphere(center, radius).scaled(scale)
-        return occluded | _occludes(context, sphere, segment_, hit_, number)
-
-    hit = Hit(hit.id.astype(jnp.int32), hit.inside)
-    rays = (segment.point, segment.to_light, segment.square), hit
-    none = jnp.full(segment.square.shape, False)
-    done = lambda occluded: occluded
-    return light_buffer.visit(point, hit.id >= 0, visit, rays, none, done)
+    visit = None
+    if accelerator is not None and accelerator.light_buffers is not None:
+        light_buffer, done = accelerator.light_buffer(light), lambda occluded: occluded
+        visit = partial(light_buffer.visit, point, hit.id >= 0, done)
+    return ~context.fold(occlude, (segment, hit), none, candidates=visit, scale=scale)
 
 
 def shadow_scale(context: TraceContext, light: Vec) -> Scalar:

@@ -104,6 +104,17 @@ def _gather_per_pixel_backward(residuals: tuple, cotangents: list[PixelArray]) -
 _gather_per_pixel.defvjp(_gather_per_pixel_forward, _gather_per_pixel_backward)
 
 
+def take_pixels(tree: T, places: Ids, count: int) -> T:
+    """Returns what a pytree of pixel arrays holds for some of the pixels.
+
+    **Arguments:** `places`: of these pixels. `count`: the number of all pixels. Arrays whose last
+    axis has another length are shared by all pixels.
+    """
+    own = lambda x: jnp.ndim(x) > 0 and x.shape[-1] == count
+    take = lambda x: x.at[..., places].get(mode="promise_in_bounds")
+    return jax.tree.map(lambda x: take(x) if own(x) else x, tree)
+
+
 def _clip(ids: Ids, count: int) -> Ids:
     return jnp.clip(ids, 0, count - 1).astype(jnp.int32)
 

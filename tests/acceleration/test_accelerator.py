@@ -18,6 +18,7 @@ from spheretrace_jax.tracing.surface import surface_at
 
 accelerator_module = import_module("spheretrace_jax.acceleration.accelerator")
 samples = import_module("spheretrace_jax.rendering.samples")
+render_samples = samples.render_samples
 
 FAR, SIZE = (100.0, 500, 800), (50, 37)
 CAMERA = st.Camera(0.3, 0.6, 500.0, 800.0)
@@ -208,13 +209,62 @@ def test_program_size_is_constant():
     assert lines(40_000) == lines(400_000)
 
 
-def test_light_without_buffer_tests_all_spheres():
+def test_other_lights_have_no_buffers():
     scene = cloud()
     top = scene.spheres.center.at[:, 2].add(scene.spheres.radius)
     point = SplitVec(*top.T)
     hit = Hit(jnp.arange(COUNT, dtype=jnp.int32), jnp.full(COUNT, False))
-    light = vec(jnp.array([-300.0, 20, 500]))
-    test = lambda context: light_visible(context, point, hit, light)
+    lights = st.Lights(jnp.array([[-300.0, 20, 500]]))
+
+    def test(context):
+        return light_visible(context.with_lights(lights), point, hit, vec(lights.position[0]))
+
     lit = accelerated(scene, test, bounces=0), exhaustive(scene, test)
     np.testing.assert_array_equal(*lit)
     assert 0 < lit[0].sum() < lit[0].size
+
+
+# -- covered edges
+
+
+def covered(bounces, is_accelerated):
+    """Returns a function from a scene to its picture before the pixel filter, and its edges."""
+    needs = st.Needs(
+        planes=False, transmission=False, branching=False, textures=False, background=False,
+        reflection=bounces > 0,
+    )  # fmt: skip
+
+    @jax.jit
+    def draw(scene):
+        return render_samples(context_of(scene, needs, SIZE, bounces, is_accelerated))
+
+    return draw
+
+
+def assert_same_covered(scene, draw, tolerance):
+    (found, found_edges), (expected, edges) = (d(scene.with_antialias(1)) for d in draw)
+    np.testing.assert_array_equal(found_edges, edges)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance)
+
+
+DRAW = covered(0, True), covered(0, False)
+DRAW_MIRRORS = covered(2, True), covered(2, False)
+
+
+@pytest.mark.parametrize("dtype", [pytest.param("float64", marks=pytest.mark.slow), "float32"])
+@pytest.mark.parametrize("name", SCENES)
+def test_same_covered_edges(name, dtype):
+    if dtype == "float64":
+        assert_same_covered(SCENES[name], DRAW, 1e-13)
+    else:
+        assert_same_covered(as_float32(SCENES[name]), DRAW, 1e-6)
+
+
+# a ray that leaves a twin starts on the other one, up to rounding
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in SCENES if name != "twins"])
+def test_same_covered_edges_in_mirrors(name):
+    scene = SCENES[name]
+    mirrors = eqx.tree_at(lambda s: s.spheres.kgr, scene, jnp.full(COUNT, 0.4))
+    assert_same_covered(mirrors, DRAW_MIRRORS, 1e-12)

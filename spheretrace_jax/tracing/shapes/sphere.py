@@ -223,7 +223,9 @@ class Sphere(eqx.Module):
         along, q = self.perpendicular(ray)
         half = jnp.sqrt(self.radius * self.radius - dot(q, q))  # nan = miss
         apart = jnp.minimum(jnp.abs(along - half - t), jnp.abs(along + half - t))
-        return apart * half < steep * half + radius * norm(q)
+        # near its rim a sphere's depth varies as a root does: by no more than R and the pixel
+        near = apart < steep + self.radius + radius
+        return near & (apart * half < steep * half + radius * norm(q))
 
     def near_shadow_edge(self, segment: ShadowSegment, radius: PixelArray) -> Mask:
         """Tests whether the edge of the sphere's shadow may run through a pixel.
@@ -233,7 +235,9 @@ class Sphere(eqx.Module):
         to_center = self.center - segment.point
         off = cross(to_center, segment.to_light)
         along = dot(to_center, segment.to_light)
-        near = _between(dot(off, off), self.radius, radius, segment.square)
+        # seen from the light the footprint narrows toward it
+        width = radius - along * (radius / segment.square)
+        near = _between(dot(off, off), self.radius, width, segment.square)
         return near & (along > 0) & (along < segment.square)
 
     def pixel_coverage(

@@ -1,0 +1,121 @@
+"""Candidates: the spheres that pixels with edges look at, in scenes of very many spheres.
+
+A pixel is wider than its ray, so that more spheres may matter to it than its ray meets. Pixels find
+the same among their candidates as among all spheres.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+
+import jax.numpy as jnp
+from jax import lax
+
+from ..acceleration.binning import Visitor
+from ..acceleration.sphere_blocks import PixelCone
+from ..base.types import Mask, PixelArray
+from ..base.vec import Vec, norm, unit
+from ..scene.camera import Ray
+from .context import Candidates, TraceContext
+from .hit import Hit
+
+T = TypeVar("T")
+
+# Cells of the light buffer up to which a pixel looks at each. Where a surface is seen at a grazing
+# angle, a pixel may have thousands: all spheres are fewer then.
+_MOST_CELLS = 16
+
+
+def cone_candidates(
+    context: TraceContext, cone: PixelCone, alive: Mask, source_hit: Hit | None
+) -> Candidates | None:
+    """Returns the spheres in the cones of a picture's pixels; None for all spheres.
+
+    **Arguments:** `alive`: true where there is a pixel. `source_hit`: the hit that the cones start
+    from, None for the eye.
+    """
+    accelerator = context.accelerator
+    if accelerator is None or accelerator.sphere_blocks is None:
+        return None
+    if source_hit is None and accelerator.screen_tiles.row is not None:
+        return accelerator.screen_tiles.visit
+    return partial(accelerator.sphere_blocks.visit, cone, alive)
+
+
+def nearest_in_cone(
+    context: TraceContext,
+    cone: PixelCone,
+    alive: Mask,
+    source_hit: Hit | None,
+    max_distance: Callable[[T], PixelArray],
+) -> Candidates | None:
+    """Returns the spheres in the cones of few pixels, nearest first; None for all spheres.
+
+    **Arguments:** as for `cone_candidates`. `max_distance`: from a pixel's state to the distance
+    beyond which no sphere changes the state.
+    """
+    accelerator = context.accelerator
+    if accelerator is None or accelerator.sphere_blocks is None:
+        return None
+    tiles = accelerator.screen_tiles
+    if source_hit is None and tiles.cell is not None:
+        return partial(tiles.visit_nearest, cone, max_distance)
+    return partial(accelerator.sphere_blocks.visit_nearest, cone, alive, max_distance)
+
+
+def shadow_candidates(
+    context: TraceContext,
+    light: Vec,
+    point: Vec,
+    radius: PixelArray,
+    alive: Mask,
+    done: Callable[[T], Mask],
+) -> Candidates | None:
+    """Returns the spheres between a light and what a picture's pixels show; None for all spheres.
+
+    Spheres may come more than once.
+
+    **Arguments:** `point`, `radius`: a ball around the surface in a pixel. `alive`: true where
+    there is a pixel. `done`: true of a state that no sphere changes.
+    """
+    accelerator = context.accelerator
+    if accelerator is None or accelerator.light_buffers is None:
+        return None
+    blocks = accelerator.sphere_blocks
+    assert blocks is not None
+    cells = accelerator.light_buffer(light).cells_around(point, radius)
+    few, cone = cells.count <= _MOST_CELLS, _toward_light(light, point, radius)
+
+    def visit(visitor: Visitor, pixels: Any, state: T) -> T:
+        state = cells.visit(alive & few, done, visitor, pixels, state)
+        others = lambda state: blocks.visit(cone, alive & ~few, visitor, pixels, state)
+        return lax.cond(jnp.any(alive & ~few), others, lambda state: state, state)
+
+    return visit
+
+
+def nearest_shadow_candidates(
+    context: TraceContext,
+    light: Vec,
+    point: Vec,
+    radius: PixelArray,
+    alive: Mask,
+    done: Callable[[T], Mask],
+) -> Candidates | None:
+    """Returns the spheres between a light and few pixels, nearest first; None for all spheres.
+
+    **Arguments:** as for `shadow_candidates`.
+    """
+    accelerator = context.accelerator
+    if accelerator is None or accelerator.sphere_blocks is None:
+        return None
+    max_distance = lambda state: jnp.where(done(state), -jnp.inf, jnp.inf).astype(radius.dtype)
+    cone = _toward_light(light, point, radius)
+    return partial(accelerator.sphere_blocks.visit_nearest, cone, alive, max_distance)
+
+
+def _toward_light(light: Vec, point: Vec, radius: PixelArray) -> PixelCone:
+    """Returns what balls around points see of the way to a light."""
+    to_light = light - point
+    ray = Ray(point, unit(to_light))
+    return PixelCone(ray, radius, jnp.zeros_like(radius), -radius, norm(to_light))
