@@ -1,4 +1,4 @@
-"""Candidate lists: pixels list the nearest spheres that pass a cheap test, then test these fully.
+"""Candidate lists: pixels list a few spheres that pass a cheap test, then test these fully.
 
 All pixels of a loop take as many steps as the slowest. So the steps of a search are cheap, what is
 costly is done only for what the lists hold, and pixels with about as many steps go together.
@@ -46,10 +46,13 @@ class Search(NamedTuple):
     own: Any  #: what `step` is told of each pixel
     start: Ids  #: where searches start, -1 for none
     length: Ids  #: about how many steps they take
+    #: whether the nearest spheres come first; else places are numbers of spheres, in whose order
+    #: they come, so that a search goes on where its list was full
+    sorts: bool = True
 
 
 class _List(NamedTuple):
-    """The nearest spheres of each pixel in order, and the distance from which they matter."""
+    """The next spheres of each pixel in order, and the distance from which they matter."""
 
     sphere: Int[Array, "listed *pixels"]  #: -1 for none
     distance: Float[Array, "listed *pixels"]  #: infinite for none
@@ -63,14 +66,14 @@ class _Last(NamedTuple):
     distance: PixelArray
 
 
-def visit_nearest(
+def visit_listed(
     search: Search,
     max_distance: Callable[[T], PixelArray],
     visitor: Visitor,
     rays: Any,
     state: T,
 ) -> T:
-    """Lets pixels test the spheres that searches find, nearest first; see `Bins.visit`.
+    """Lets pixels test the spheres that searches find; see `Bins.visit`.
 
     **Arguments:** `max_distance`: from a state to the distance from which on no sphere changes the
     state. `rays`: what `visitor` is told of pixels. Of it, of `search.own` and of the state, arrays
@@ -107,7 +110,7 @@ def _visit(
 
     def test(now: tuple[_Last, T]) -> tuple[_Last, T]:
         last, state = now
-        listed = _list_nearest(search, last, max_distance(state))
+        listed = _list_next(search, last, max_distance(state))
         most = jnp.max(jnp.sum(listed.sphere >= 0, axis=0, dtype=jnp.int32))
         add = lambda k, state: visitor(rays, *search.sphere(listed.sphere[k]), state)
         state = lax.fori_loop(0, most, add, state)
@@ -120,8 +123,8 @@ def _visit(
     return lax.while_loop(proceed, test, (last, state))[1]
 
 
-def _list_nearest(search: Search, after: _Last, max_distance: PixelArray) -> _List:
-    """Lists the nearest spheres after the last ones that were listed."""
+def _list_next(search: Search, after: _Last, max_distance: PixelArray) -> _List:
+    """Lists the next spheres after the last ones that were listed."""
 
     def proceed(now: tuple[Ids, _List]) -> Bool[Array, ""]:
         return jnp.any(now[0] >= 0)
@@ -130,12 +133,18 @@ def _list_nearest(search: Search, after: _Last, max_distance: PixelArray) -> _Li
         place, listed = now
         active, limit = place >= 0, jnp.minimum(listed.distance[-1], max_distance)
         found = search.step(search.own, jnp.maximum(place, 0), limit)
-        tie = (found.distance == after.distance) & (found.sphere > after.sphere)
-        new = active & (found.sphere >= 0) & ((found.distance > after.distance) | tie)
-        distance = jnp.where(new, found.distance, jnp.inf)
-        return jnp.where(active, found.next, -1), _insert(listed, found.sphere, distance)
+        new = active & (found.sphere >= 0)
+        if search.sorts:
+            tie = (found.distance == after.distance) & (found.sphere > after.sphere)
+            new = new & ((found.distance > after.distance) | tie)
+        distance = found.distance if search.sorts else jnp.zeros_like(found.distance)
+        listed = _insert(listed, found.sphere, jnp.where(new, distance, jnp.inf))
+        if not search.sorts:
+            active = active & (listed.sphere[-1] < 0)
+        return jnp.where(active, found.next, -1), listed
 
-    start = jnp.where(after.more, search.start, -1)
+    start = search.start if search.sorts else jnp.maximum(search.start, after.sphere + 1)
+    start = jnp.where(after.more, start, -1)
     none = jnp.full((_LISTED, *start.shape), -1, start.dtype)
     empty = _List(none, jnp.full(none.shape, jnp.inf, after.distance.dtype))
     return lax.while_loop(proceed, go_on, (start, empty))[1]

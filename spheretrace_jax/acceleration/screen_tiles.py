@@ -14,7 +14,7 @@ from ..base.vec import Vec, dot, norm
 from ..scene.camera import Camera, view_frame
 from ..xla.sharding import Rows
 from .binning import ROUNDING_ULPS, BinBounds, Bins, T, Visitor, bounds_2d
-from .candidate_list import Found, Search, visit_nearest
+from .candidate_list import Found, Search, visit_listed
 from .sphere_blocks import PixelCone
 
 # Side of a tile in pixels. Larger tiles have more candidates per ray, smaller ones more pairs to
@@ -89,7 +89,7 @@ class ScreenTiles(eqx.Module):
         start = jnp.where(start < end, start, -1)
         sphere = lambda slot: bins.sphere_if(slot >= 0, jnp.maximum(slot, 0))
         search = Search(step, sphere, (cone, first, end), start, count)
-        return visit_nearest(search, max_distance, visitor, rays, state)
+        return visit_listed(search, max_distance, visitor, rays, state)
 
 
 def tile_count(size: tuple[int, int]) -> int:

@@ -19,7 +19,7 @@ from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import SplitVec, Vec, components, dot, norm
 from ..scene.camera import Ray
 from .binning import NO_SPHERE, ROUNDING_ULPS, Cluster, T, Visitor, stable_order
-from .candidate_list import Found, Search, visit_nearest
+from .candidate_list import Found, Search, visit_listed
 
 # Spheres of a block, as many as an integer has bits.
 _BLOCK = 32
@@ -91,28 +91,30 @@ class SphereBlocks(eqx.Module):
         blocks = self.block_center, self.block_radius, (self.center, self.radius, self.ids)
         return lax.scan(visit_block, state, blocks)[0]
 
-    def visit_nearest(
+    def visit_each(
         self,
         cone: PixelCone,
         mask: Mask,
         max_distance: Callable[[T], PixelArray],
+        sorts: bool,
         visitor: Visitor,
         rays: Any,
         state: T,
     ) -> T:
-        """Lets pixels test the spheres in their cones, nearest first; see `Bins.visit`.
+        """Lets each pixel test the spheres in its cone; see `Bins.visit`.
 
         **Arguments:** `mask`: the pixels to look at. `max_distance`: from a state to the distance
-        beyond which no sphere changes the state.
+        beyond which no sphere changes the state. `sorts`: whether the nearest spheres come first.
         """
         words = self._meeting(cone, mask)
         center, radius = jax.tree.map(jnp.ravel, (self.center, self.radius))
 
         def step(own: tuple[PixelCone, Array], number: Ids, limit: PixelArray) -> Found:
             cone, words = own
-            row = number // _BLOCK
+            # a list may have been full at the very last sphere
+            row = jnp.minimum(number // _BLOCK, len(words) - 1)
             word = jnp.take_along_axis(words, row[None], axis=0, mode="promise_in_bounds")[0]
-            rest = word >> (number % _BLOCK).astype(jnp.uint32)
+            rest = jnp.where(number < radius.size, word >> (number % _BLOCK).astype(jnp.uint32), 0)
             # the zeros at the end of the rest lead to its next bit
             zeros = lax.population_count(~rest & (rest - 1)).astype(jnp.int32)
             found = jnp.where(rest > 0, number + zeros, row * _BLOCK)
@@ -124,8 +126,8 @@ class SphereBlocks(eqx.Module):
 
         length = jnp.sum(lax.population_count(words), axis=0).astype(jnp.int32)
         start = jnp.where(length > 0, 0, -1).astype(jnp.int32)
-        search = Search(step, self._sphere, (cone, words), start, length)
-        return visit_nearest(search, max_distance, visitor, rays, state)
+        search = Search(step, self._sphere, (cone, words), start, length, sorts)
+        return visit_listed(search, max_distance, visitor, rays, state)
 
     def _meeting(self, cone: PixelCone, mask: Mask) -> UInt32[Array, "blocks *pixels"]:
         """Finds the spheres of each block that pixels' cones meet: one bit for each."""

@@ -200,7 +200,8 @@ def _clip_layer(
     pixel = VisibleLayer(ray, layer.hit, distance, mean, visible)
     behind = where(shown, behind, whole_pixel(area))
     state = _State(uncovered - area, only(hand_on), (behind, *fronts[:-1]))
-    return state, VisibleLayers(pixel, shown, area)
+    # what layers in front hide wholly is not shaded, nor looked on from
+    return state, VisibleLayers(pixel, shown & (area > 0), area)
 
 
 def layer_radiance(

@@ -15,7 +15,7 @@ from ..base.safe_math import clamp, larger, safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit, where
 from ..scene.camera import Ray, unit_ray
-from ..tracing.candidates import nearest_shadow_candidates
+from ..tracing.candidates import few_shadow_candidates
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit, ShadowedPixel
@@ -237,7 +237,7 @@ def _find_occluders(
     ):  # the sphere that is seen from inside, where the mean point lies off it
         away = norm(point.value - context.sphere(hit.id).center)
         radius = jnp.where(hit.inside, larger(radius, away), radius)
-    near = nearest_shadow_candidates(context, light, point.value, radius, hit.id >= 0, done)
+    near = few_shadow_candidates(context, light, point.value, radius, hit.id >= 0, done)
     occluded, edges = context.fold(
         add, (pixel, hit), (nowhere, (nothing,) * EDGES), candidates=near, unroll=0
     )

@@ -60,7 +60,7 @@ def nearest_in_cone(
     tiles = accelerator.screen_tiles
     if source_hit is None and tiles.cell is not None:
         return partial(tiles.visit_nearest, cone, max_distance)
-    return partial(accelerator.sphere_blocks.visit_nearest, cone, alive, max_distance)
+    return partial(accelerator.sphere_blocks.visit_each, cone, alive, max_distance, True)
 
 
 def shadow_candidates(
@@ -94,7 +94,7 @@ def shadow_candidates(
     return visit
 
 
-def nearest_shadow_candidates(
+def few_shadow_candidates(
     context: TraceContext,
     light: Vec,
     point: Vec,
@@ -102,7 +102,7 @@ def nearest_shadow_candidates(
     alive: Mask,
     done: Callable[[T], Mask],
 ) -> Candidates | None:
-    """Returns the spheres between a light and few pixels, nearest first; None for all spheres.
+    """Returns the spheres between a light and few pixels; None for all spheres.
 
     **Arguments:** as for `shadow_candidates`.
     """
@@ -111,7 +111,7 @@ def nearest_shadow_candidates(
         return None
     max_distance = lambda state: jnp.where(done(state), -jnp.inf, jnp.inf).astype(radius.dtype)
     cone = _toward_light(light, point, radius)
-    return partial(accelerator.sphere_blocks.visit_nearest, cone, alive, max_distance)
+    return partial(accelerator.sphere_blocks.visit_each, cone, alive, max_distance, False)
 
 
 def _toward_light(light: Vec, point: Vec, radius: PixelArray) -> PixelCone:
