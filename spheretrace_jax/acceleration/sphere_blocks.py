@@ -37,6 +37,7 @@ class PixelCone(eqx.Module):
     ray: Ray
     radius: PixelArray  #: where the ray starts, world units
     spread: PixelArray  #: growth of the radius per unit of distance from the ray's origin
+    alive: Mask  #: true where there is a pixel; others meet nothing
     start: PixelArray | int = 0  #: the distance before which no sphere matters
     end: PixelArray | float = (
         jnp.inf
@@ -49,7 +50,7 @@ class PixelCone(eqx.Module):
         reach = (radius + self.radius + self.spread * (jnp.sqrt(square) + radius)) * _SLACK
         near = square - along * along <= reach * reach + self._rounding * square
         far = (along - 2 * radius * _SLACK) * (1 - self._rounding) > self.end
-        return near & (along + radius * _SLACK > self.start) & ~far
+        return near & (along + radius * _SLACK > self.start) & ~far & self.alive
 
     def distance(self, center: Vec, radius: PixelArray) -> PixelArray:
         """Returns the least distance at which a sphere may matter."""
@@ -70,11 +71,11 @@ class SphereBlocks(eqx.Module):
     block_center: Vec
     block_radius: Float[Array, " blocks"]
 
-    def visit(self, cone: PixelCone, mask: Mask, visitor: Visitor, rays: Any, state: T) -> T:
+    def visit(self, cone: PixelCone, visitor: Visitor, rays: Any, state: T) -> T:
         """Lets pixels test the spheres of the blocks that any of their cones meets.
 
-        For visitors that cost little. **Arguments:** `mask`: the pixels to look at. `visitor`,
-        `rays`, `state`: see `Bins.visit`; a sphere is the same for all pixels.
+        For visitors that cost little. **Arguments:** see `Bins.visit`; a sphere is the same for all
+        pixels.
         """
 
         def visit_block(state: T, block: tuple) -> tuple[T, None]:
@@ -84,7 +85,7 @@ class SphereBlocks(eqx.Module):
                 center, radius, ids = jax.tree.map(lambda x: x[k], spheres)
                 return visitor(rays, center, radius, ids, state)
 
-            some = jnp.any(cone.meets(*bound) & mask)
+            some = jnp.any(cone.meets(*bound))
             visit = lambda state: lax.fori_loop(0, _BLOCK, test, state)
             return lax.cond(some, visit, lambda state: state, state), None
 
@@ -94,7 +95,6 @@ class SphereBlocks(eqx.Module):
     def visit_each(
         self,
         cone: PixelCone,
-        mask: Mask,
         max_distance: Callable[[T], PixelArray],
         sorts: bool,
         visitor: Visitor,
@@ -103,10 +103,10 @@ class SphereBlocks(eqx.Module):
     ) -> T:
         """Lets each pixel test the spheres in its cone; see `Bins.visit`.
 
-        **Arguments:** `mask`: the pixels to look at. `max_distance`: from a state to the distance
-        beyond which no sphere changes the state. `sorts`: whether the nearest spheres come first.
+        **Arguments:** `max_distance`: from a state to the distance beyond which no sphere changes
+        the state. `sorts`: whether the nearest spheres come first.
         """
-        words = self._meeting(cone, mask)
+        words = self._meeting(cone)
         center, radius = jax.tree.map(jnp.ravel, (self.center, self.radius))
 
         def step(own: tuple[PixelCone, Array], number: Ids, limit: PixelArray) -> Found:
@@ -129,7 +129,7 @@ class SphereBlocks(eqx.Module):
         search = Search(step, self._sphere, (cone, words), start, length, sorts)
         return visit_listed(search, max_distance, visitor, rays, state)
 
-    def _meeting(self, cone: PixelCone, mask: Mask) -> UInt32[Array, "blocks *pixels"]:
+    def _meeting(self, cone: PixelCone) -> UInt32[Array, "blocks *pixels"]:
         """Finds the spheres of each block that pixels' cones meet: one bit for each."""
 
         def word(block: tuple) -> UInt32[Array, "*pixels"]:
@@ -138,10 +138,10 @@ class SphereBlocks(eqx.Module):
             def add(k: Index, bits: Array) -> Array:
                 bit = jnp.uint32(1) << jnp.asarray(k).astype(jnp.uint32)
                 meets = cone.meets(*jax.tree.map(lambda x: x[k], spheres))
-                return bits | jnp.where(meets & mask, bit, jnp.uint32(0))
+                return bits | jnp.where(meets, bit, jnp.uint32(0))
 
-            none = jnp.zeros(mask.shape, jnp.uint32)
-            some = jnp.any(cone.meets(*bound) & mask)
+            none = jnp.zeros(cone.alive.shape, jnp.uint32)
+            some = jnp.any(cone.meets(*bound))
             return lax.cond(some, lambda: lax.fori_loop(0, _BLOCK, add, none), lambda: none)
 
         return lax.map(word, (self.block_center, self.block_radius, (self.center, self.radius)))

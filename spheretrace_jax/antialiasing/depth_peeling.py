@@ -129,8 +129,8 @@ def next_layers(
     best = [nothing] * (3 if context.needs.crossings else 2)
     width = (norm(ray.dx.origin) + norm(ray.dy.origin)) / 2
     spread = (norm(ray.dx.direction) + norm(ray.dy.direction)) / 2
-    cone = PixelCone(ray.value, width, spread, last.t)
-    seen = nearest_in_cone(context, cone, alive, source_hit, _last_depth)
+    cone = PixelCone(ray.value, width, spread, alive, last.t)
+    seen = nearest_in_cone(context, cone, source_hit, _last_depth)
     return context.fold(insert, (ray, last, source_hit), best, candidates=seen, unroll=0)
 
 

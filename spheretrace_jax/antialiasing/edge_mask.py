@@ -117,8 +117,8 @@ def _object_edges(
         )
 
     end = foot.t + steep + foot.cone_radius if crossings else foot.t
-    width = PixelCone(ray, cone.radius, cone.spread, end=end)
-    seen = cone_candidates(context, width, alive, source_hit)
+    width = PixelCone(ray, cone.radius, cone.spread, alive, end=end)
+    seen = cone_candidates(context, width, source_hit)
     return context.fold(add, pixels, jnp.full(alive.shape, False), candidates=seen) & alive
 
 

@@ -27,25 +27,23 @@ _MOST_CELLS = 16
 
 
 def cone_candidates(
-    context: TraceContext, cone: PixelCone, alive: Mask, source_hit: Hit | None
+    context: TraceContext, cone: PixelCone, source_hit: Hit | None
 ) -> Candidates | None:
     """Returns the spheres in the cones of a picture's pixels; None for all spheres.
 
-    **Arguments:** `alive`: true where there is a pixel. `source_hit`: the hit that the cones start
-    from, None for the eye.
+    **Arguments:** `source_hit`: the hit that the cones start from, None for the eye.
     """
     accelerator = context.accelerator
     if accelerator is None or accelerator.sphere_blocks is None:
         return None
     if source_hit is None and accelerator.screen_tiles.row is not None:
         return accelerator.screen_tiles.visit
-    return partial(accelerator.sphere_blocks.visit, cone, alive)
+    return partial(accelerator.sphere_blocks.visit, cone)
 
 
 def nearest_in_cone(
     context: TraceContext,
     cone: PixelCone,
-    alive: Mask,
     source_hit: Hit | None,
     max_distance: Callable[[T], PixelArray],
 ) -> Candidates | None:
@@ -60,7 +58,7 @@ def nearest_in_cone(
     tiles = accelerator.screen_tiles
     if source_hit is None and tiles.cell is not None:
         return partial(tiles.visit_nearest, cone, max_distance)
-    return partial(accelerator.sphere_blocks.visit_each, cone, alive, max_distance, True)
+    return partial(accelerator.sphere_blocks.visit_each, cone, max_distance, True)
 
 
 def shadow_candidates(
@@ -84,12 +82,13 @@ def shadow_candidates(
     blocks = accelerator.sphere_blocks
     assert blocks is not None
     cells = accelerator.light_buffer(light).cells_around(point, radius)
-    few, cone = cells.count <= _MOST_CELLS, _toward_light(light, point, radius)
+    few = cells.count <= _MOST_CELLS
+    cone = _toward_light(light, point, radius, alive & ~few)
 
     def visit(visitor: Visitor, pixels: Any, state: T) -> T:
         state = cells.visit(alive & few, done, visitor, pixels, state)
-        others = lambda state: blocks.visit(cone, alive & ~few, visitor, pixels, state)
-        return lax.cond(jnp.any(alive & ~few), others, lambda state: state, state)
+        others = lambda state: blocks.visit(cone, visitor, pixels, state)
+        return lax.cond(jnp.any(cone.alive), others, lambda state: state, state)
 
     return visit
 
@@ -110,12 +109,12 @@ def few_shadow_candidates(
     if accelerator is None or accelerator.sphere_blocks is None:
         return None
     max_distance = lambda state: jnp.where(done(state), -jnp.inf, jnp.inf).astype(radius.dtype)
-    cone = _toward_light(light, point, radius)
-    return partial(accelerator.sphere_blocks.visit_each, cone, alive, max_distance, False)
+    cone = _toward_light(light, point, radius, alive)
+    return partial(accelerator.sphere_blocks.visit_each, cone, max_distance, False)
 
 
-def _toward_light(light: Vec, point: Vec, radius: PixelArray) -> PixelCone:
+def _toward_light(light: Vec, point: Vec, radius: PixelArray, alive: Mask) -> PixelCone:
     """Returns what balls around points see of the way to a light."""
     to_light = light - point
     ray = Ray(point, unit(to_light))
-    return PixelCone(ray, radius, jnp.zeros_like(radius), -radius, norm(to_light))
+    return PixelCone(ray, radius, jnp.zeros_like(radius), alive, -radius, norm(to_light))
