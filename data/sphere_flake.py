@@ -2,8 +2,8 @@
 
 The scene "balls" of Eric Haines, "A Proposal for Standard Graphics Environments", IEEE CG&A 7(11),
 1987, with its floor, eye, three lights and colours; mirrors and highlights as in its pictures. The
-spheres' places follow from its words: nine on the half turned away from the parent, six of them in
-a ring that touches the parent's tangent plane side by side, three above these.
+spheres' places follow from its words: nine on the half turned away from the parent, six of them
+around its equator, three above these.
 
     python data/sphere_flake.py flake.txt 4     # writes the scene file of 7,381 spheres
 """
@@ -22,7 +22,7 @@ def child_directions() -> np.ndarray:
     """Returns the nine directions in which a sphere that points up bears others."""
     root = np.sqrt(0.5)
     trio = np.array([[root, root, 0], [root, 0, -root], [0, root, -root]])
-    # so that (1, 1, -1), the middle of the three, comes to lie in the horizontal plane's normal
+    # so that one of the three stands above the equator and two lie on it
     axis, angle = np.array([1, -1, 0]) * root, np.arcsin(2 / np.sqrt(6))
     trio = trio @ rotation(axis, angle).T
     thirds = [rotation(np.array([0, 0, 1.0]), 2 * np.pi * k / 3) for k in range(3)]

@@ -140,8 +140,7 @@ class Bins(eqx.Module):
 
         **Returns:** the rays' final states.
         """
-        visit_global = lambda k, state: visitor(rays, *self.sphere(k), state)
-        state = lax.fori_loop(0, self.start[1], visit_global, state)
+        state = self.visit_global(visitor, rays, state)
         first, count = self.slots(cell)
         end = first + count
 
@@ -158,15 +157,20 @@ class Bins(eqx.Module):
         # 100,000 spheres)
         return lax.while_loop(proceed, step, (first, state))[1]
 
+    def visit_global(self, visitor: Visitor, rays: Any, state: T) -> T:
+        """Lets rays test the spheres of the global list; see `visit`."""
+        test = lambda k, state: visitor(rays, *self.sphere(k), state)
+        return lax.fori_loop(0, self.start[1], test, state)
+
     def slots(self, cell: Ids) -> tuple[Ids, Ids]:
         """Returns the first slot of each cell and its number of spheres, 0 for cell -1."""
-        first = _take(self.start, jnp.maximum(cell, 0))
-        return first, jnp.where(cell >= 0, _take(self.start, jnp.maximum(cell, 0) + 1) - first, 0)
+        first = take(self.start, jnp.maximum(cell, 0))
+        return first, jnp.where(cell >= 0, take(self.start, jnp.maximum(cell, 0) + 1) - first, 0)
 
     def sphere(self, slot: Ids) -> tuple[Vec, PixelArray, Ids]:
         """Returns centre, radius and id of the spheres in slots."""
         slot = jnp.minimum(slot, self.ids.size - 1)
-        return jax.tree.map(lambda x: _take(x, slot), (self.center, self.radius, self.ids))
+        return jax.tree.map(lambda x: take(x, slot), (self.center, self.radius, self.ids))
 
     def sphere_if(self, mask: Mask, slot: Ids) -> tuple[Vec, PixelArray, Ids]:
         """Returns `sphere(slot)` where `mask` is set, else radius nan and `NO_SPHERE`."""
@@ -197,10 +201,10 @@ def _sort_into_cells(center: Vec, radius: PixelArray, bounds: BinBounds, max_cel
     covered = bounds.covered_cells(width)
     no_cell = jnp.prod(counts, dtype=jnp.int32) + 1
     ids, cell = _expand_pairs(covered, counts, no_cell, capacity)
-    ids = _take(ids, stable_order(cell, no_cell))
+    ids = take(ids, stable_order(cell, no_cell))
     # counting sort: the histogram of the cells gives their first slots
     filled = jnp.zeros(max_cells + 2, jnp.int32).at[cell].add(1)
-    center, radius = jax.tree.map(lambda column: _take(column, ids), (center, radius))
+    center, radius = jax.tree.map(lambda column: take(column, ids), (center, radius))
     return Bins(center, radius, ids, prefix_sum(filled) - filled, width, counts)
 
 
@@ -222,12 +226,12 @@ def _expand_pairs(
     start = end - covered.pairs
     slot = jnp.arange(capacity, dtype=jnp.int32)
     ids = prefix_sum(jnp.zeros(capacity, jnp.int32).at[start].add(1, mode="drop")) - 1
-    rest, columns = slot - _take(start, ids), []
+    rest, columns = slot - take(start, ids), []
     for first, span in zip(covered.low, covered.spans, strict=True):
-        span = _take(span, ids)
-        columns.append(_take(first, ids) + lax.rem(rest, span))
+        span = take(span, ids)
+        columns.append(take(first, ids) + lax.rem(rest, span))
         rest = lax.div(rest, span)
-    cell = jnp.where(_take(covered.wide, ids), 0, _cell_index(columns, counts))
+    cell = jnp.where(take(covered.wide, ids), 0, _cell_index(columns, counts))
     return ids, jnp.where(slot < end[-1], cell, no_cell)
 
 
@@ -287,9 +291,9 @@ def stable_order(cell: Ids, last: Int[Array, ""]) -> Ids:
 
     def sort(now: tuple[Int[Array, ""], Ids]) -> tuple[Int[Array, ""], Ids]:
         shift, order = now
-        digit = (_take(cell, order) >> shift).astype(jnp.uint32)
+        digit = (take(cell, order) >> shift).astype(jnp.uint32)
         keys = jnp.sort(digit << bits | position)
-        return shift + (32 - bits), _take(order, (keys & ((1 << bits) - 1)).astype(jnp.int32))
+        return shift + (32 - bits), take(order, (keys & ((1 << bits) - 1)).astype(jnp.int32))
 
     digits_left = lambda now: last >> now[0] > 0
     return lax.while_loop(digits_left, sort, (jnp.int32(0), position.astype(jnp.int32)))[1]
@@ -309,5 +313,6 @@ def _cell_index(columns: Sequence[Ids], counts: Int[Array, " axes"]) -> Ids:
     return index + 1
 
 
-def _take(column: Shaped[Array, " rows"], index: Ids) -> Shaped[Array, "*#pixels"]:
+def take(column: Shaped[Array, " rows"], index: Ids) -> Shaped[Array, "*#pixels"]:
+    """Returns the rows of a column at indices in bounds."""
     return column.at[index].get(mode="promise_in_bounds")

@@ -43,6 +43,8 @@ class Search(NamedTuple):
     step: Callable[[Any, Ids, PixelArray], Found]
     #: from numbers of spheres to their centres, radii (nan for number -1) and ids
     sphere: Callable[[Ids], tuple[Vec, PixelArray, Ids]]
+    #: from a pixel's state to the distance from which on no sphere changes the state
+    max_distance: Callable[[Any], PixelArray]
     own: Any  #: what `step` is told of each pixel
     start: Ids  #: where searches start, -1 for none
     length: Ids  #: about how many steps they take
@@ -66,18 +68,11 @@ class _Last(NamedTuple):
     distance: PixelArray
 
 
-def visit_listed(
-    search: Search,
-    max_distance: Callable[[T], PixelArray],
-    visitor: Visitor,
-    rays: Any,
-    state: T,
-) -> T:
+def visit_listed(search: Search, visitor: Visitor, rays: Any, state: T) -> T:
     """Lets pixels test the spheres that searches find; see `Bins.visit`.
 
-    **Arguments:** `max_distance`: from a state to the distance from which on no sphere changes the
-    state. `rays`: what `visitor` is told of pixels. Of it, of `search.own` and of the state, arrays
-    whose last axis is as long as there are pixels have one number for each.
+    **Arguments:** `rays`: what `visitor` is told of pixels. Of it, of `search.own` and of the
+    state, arrays whose last axis is as long as there are pixels have one number for each.
     """
     count = search.start.size
     size = min(_GROUP, count)
@@ -91,7 +86,7 @@ def visit_listed(
         at = jnp.minimum(lanes, count - 1)
         own, start, rays_, before = take_pixels((search.own, search.start, rays, state), at, count)
         mine = search._replace(own=own, start=jnp.where(lanes < count, start, -1))
-        visit = lambda state: _visit(mine, max_distance, visitor, rays_, state)
+        visit = lambda state: _visit(mine, visitor, rays_, state)
         after = lax.cond(jnp.any(mine.start >= 0), visit, lambda state: state, before)
         put = lambda x, new: x.at[..., lanes].set(new, mode="drop", unique_indices=True)
         return jax.tree.map(put, state, after), None
@@ -99,26 +94,21 @@ def visit_listed(
     return lax.scan(visit_group, state, groups)[0]
 
 
-def _visit(
-    search: Search,
-    max_distance: Callable[[T], PixelArray],
-    visitor: Visitor,
-    rays: Any,
-    state: T,
-) -> T:
+def _visit(search: Search, visitor: Visitor, rays: Any, state: T) -> T:
     """Lets one group of pixels test the spheres that their searches find."""
 
     def test(now: tuple[_Last, T]) -> tuple[_Last, T]:
         last, state = now
-        listed = _list_next(search, last, max_distance(state))
+        listed = _list_next(search, last, search.max_distance(state))
         most = jnp.max(jnp.sum(listed.sphere >= 0, axis=0, dtype=jnp.int32))
         add = lambda k, state: visitor(rays, *search.sphere(listed.sphere[k]), state)
         state = lax.fori_loop(0, most, add, state)
         sphere, distance = listed.sphere[-1], listed.distance[-1]
-        return _Last((sphere >= 0) & (distance <= max_distance(state)), sphere, distance), state
+        more = (sphere >= 0) & (distance <= search.max_distance(state))
+        return _Last(more, sphere, distance), state
 
     proceed = lambda now: jnp.any(now[0].more)
-    none = jnp.full_like(max_distance(state), -jnp.inf)
+    none = jnp.full_like(search.max_distance(state), -jnp.inf)
     last = _Last(search.start >= 0, jnp.full_like(search.start, -1), none)
     return lax.while_loop(proceed, test, (last, state))[1]
 

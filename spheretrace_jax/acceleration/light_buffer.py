@@ -96,8 +96,7 @@ class LightCells(eqx.Module):
         flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
         count = jnp.where(mask, self.count, 0)
         pixels, state = jax.tree.map(flat, ((self.first, self.across, count, rays), state))
-        visit_global = lambda k, s: visitor(pixels[-1], *bins.sphere(k), s)
-        state = lax.fori_loop(0, bins.start[1], visit_global, state)
+        state = bins.visit_global(visitor, pixels[-1], state)
 
         def step(pixels: tuple, now: tuple) -> tuple:
             (column, row), across, count, rays = pixels

@@ -29,11 +29,6 @@ class ScreenTiles(eqx.Module):
     row: Int[Array, ""] | None = None  #: the strip's first row of tiles
     cell: Ids | None = None  #: the cells of some pixels
 
-    @property
-    def located(self) -> bool:
-        """Tells whether it is known where in the picture the pixels are."""
-        return self.row is not None or self.cell is not None
-
     def from_row(self, first_row: Int[Array, ""]) -> "ScreenTiles":
         """Returns the tiles of a strip that starts at a pixel row, a multiple of `TILE`."""
         return ScreenTiles(self.bins, first_row // TILE)
@@ -70,7 +65,7 @@ class ScreenTiles(eqx.Module):
         rays: Any,
         state: T,
     ) -> T:
-        """Lets some pixels test the nearest spheres of their tiles; see `SphereBlocks.visit`."""
+        """Lets some pixels test the nearest spheres of their tiles; see `visit_each` of blocks."""
         assert self.cell is not None
         bins = self.bins
         first, count = bins.slots(self.cell)
@@ -88,8 +83,8 @@ class ScreenTiles(eqx.Module):
         start = jnp.where(everywhere > 0, 0, first)
         start = jnp.where(start < end, start, -1)
         sphere = lambda slot: bins.sphere_if(slot >= 0, jnp.maximum(slot, 0))
-        search = Search(step, sphere, (cone, first, end), start, count)
-        return visit_listed(search, max_distance, visitor, rays, state)
+        search = Search(step, sphere, max_distance, (cone, first, end), start, count)
+        return visit_listed(search, visitor, rays, state)
 
 
 def tile_count(size: tuple[int, int]) -> int:

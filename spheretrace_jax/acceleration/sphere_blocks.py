@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, UInt32
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import SplitVec, Vec, components, dot, norm
 from ..scene.camera import Ray
-from .binning import NO_SPHERE, ROUNDING_ULPS, Cluster, T, Visitor, stable_order
+from .binning import NO_SPHERE, ROUNDING_ULPS, Cluster, T, Visitor, stable_order, take
 from .candidate_list import Found, Search, visit_listed
 
 # Spheres of a block, as many as an integer has bits.
@@ -39,9 +39,7 @@ class PixelCone(eqx.Module):
     spread: PixelArray  #: growth of the radius per unit of distance from the ray's origin
     alive: Mask  #: true where there is a pixel; others meet nothing
     start: PixelArray | int = 0  #: the distance before which no sphere matters
-    end: PixelArray | float = (
-        jnp.inf
-    )  #: the distance from its radius behind which no sphere matters
+    end: PixelArray | float = jnp.inf  #: spheres that begin more than R behind it do not matter
 
     def meets(self, center: Vec, radius: PixelArray) -> Mask:
         """Tests whether any of a sphere, or of those in a bounding sphere, may lie in the cone."""
@@ -118,7 +116,7 @@ class SphereBlocks(eqx.Module):
             # the zeros at the end of the rest lead to its next bit
             zeros = lax.population_count(~rest & (rest - 1)).astype(jnp.int32)
             found = jnp.where(rest > 0, number + zeros, row * _BLOCK)
-            sphere = jax.tree.map(lambda x: _take(x, found), (center, radius))
+            sphere = jax.tree.map(lambda x: take(x, found), (center, radius))
             distance = cone.distance(*sphere)
             new = jnp.where(rest > 0, found + 1, (row + 1) * _BLOCK)
             new = jnp.where(new < radius.size, new, -1)
@@ -126,8 +124,8 @@ class SphereBlocks(eqx.Module):
 
         length = jnp.sum(lax.population_count(words), axis=0).astype(jnp.int32)
         start = jnp.where(length > 0, 0, -1).astype(jnp.int32)
-        search = Search(step, self._sphere, (cone, words), start, length, sorts)
-        return visit_listed(search, max_distance, visitor, rays, state)
+        search = Search(step, self._sphere, max_distance, (cone, words), start, length, sorts)
+        return visit_listed(search, visitor, rays, state)
 
     def _meeting(self, cone: PixelCone) -> UInt32[Array, "blocks *pixels"]:
         """Finds the spheres of each block that pixels' cones meet: one bit for each."""
@@ -150,7 +148,7 @@ class SphereBlocks(eqx.Module):
         """Returns centre, radius and id of spheres; radius nan and `NO_SPHERE` for -1."""
         there, number = number >= 0, jnp.maximum(number, 0)
         columns = jax.tree.map(jnp.ravel, (self.center, self.radius, self.ids))
-        center, radius, ids = jax.tree.map(lambda x: _take(x, number), columns)
+        center, radius, ids = jax.tree.map(lambda x: take(x, number), columns)
         return center, jnp.where(there, radius, jnp.nan), jnp.where(there, ids, NO_SPHERE)
 
 
@@ -159,7 +157,7 @@ def build_blocks(center: Vec, radius: PixelArray, group: Cluster) -> SphereBlock
     order = _curve_order(center, group)
     fill = -order.size % _BLOCK
     block = lambda x: x.reshape(-1, _BLOCK)
-    center, radius = jax.tree.map(lambda x: _take(x, order), (center, radius))
+    center, radius = jax.tree.map(lambda x: take(x, order), (center, radius))
     center = SplitVec(*(block(jnp.pad(x, (0, fill), mode="edge")) for x in components(center)))
     radius = block(jnp.pad(radius, (0, fill), constant_values=jnp.nan))
     middle = SplitVec(*(_middle(x, radius) for x in components(center)))
@@ -185,7 +183,3 @@ def _curve_order(center: Vec, group: Cluster) -> Ids:
             place = (place | place << shift) & mask
         code = code | place << axis
     return stable_order(code, jnp.int32(2 ** (3 * _BITS) - 1))
-
-
-def _take(column: Array, index: Ids) -> Array:
-    return column.at[index].get(mode="promise_in_bounds")

@@ -14,7 +14,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from ..base.types import Ids, Mask, PixelArray, Scalar
 from ..base.vec import Vec, components
@@ -59,8 +58,7 @@ class UniformGrid(eqx.Module):
         low = jax.tree.map(flat, self.low)
         start = [x / self.side for x in components(ray.origin - low)]
         slope = [x / self.side for x in components(ray.direction)]
-        visit_global = lambda k, s: visitor(rays, *bins.sphere(k), s)
-        state = lax.fori_loop(0, bins.start[1], visit_global, state)
+        state = bins.visit_global(visitor, rays, state)
 
         cell = _pack([bins.column(axis, x) for axis, x in enumerate(start)])
         slot = bins.slots(bins.cell(*_unpack(cell)))[0]

@@ -57,10 +57,6 @@ class Layers(eqx.Module):
     shown: Mask  #: true in pixels that have such a layer
     area: PixelArray  #: the part of the pixel that the layer covers, 0..1
 
-    def layer(self, number: Index) -> "Layers":
-        """Returns one of the layers."""
-        return jax.tree.map(lambda x: x[number], self)
-
 
 class VisibleLayer(eqx.Module):
     """One layer of pixels, and the polygon in which the layer is visible."""
@@ -219,7 +215,7 @@ def layer_radiance(
     if follow is None:
         return color
 
-    def add_way(color: Vec, choice: Index | Ids) -> tuple[Vec, None]:
+    def add_way(color: Vec, choice: Index) -> tuple[Vec, None]:
         path = secondary_path(context, layer.ray.value, layer.surface, layer.hit, alive, choice)
         return color + trace_path(context, split(path)), None
 

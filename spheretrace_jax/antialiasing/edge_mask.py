@@ -17,7 +17,7 @@ from ..base.safe_math import safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, vec
 from ..scene.camera import Ray
-from ..tracing.candidates import cone_candidates, shadow_candidates
+from ..tracing.candidates import cone_candidates, shadow_candidates, shadow_cone
 from ..tracing.cone import LEAST_COS_VIEW, RayCone
 from ..tracing.context import TraceContext
 from ..tracing.hit import Hit, PixelHit, ShadowSegment, Surface, shadow_segment
@@ -154,7 +154,8 @@ def _light_edges(
     edge = jnp.full(facing.shape, False)
     if shadows:
         look, done = look & (facing > 0), lambda edge: edge
-        near = shadow_candidates(context, light, pixel.surface.point, pixel.radius, look, done)
+        way = shadow_cone(light, pixel.surface.point, pixel.radius, look)
+        near = shadow_candidates(context, light, way, done)
         pixels = segment, radius, hit.id
         edge = context.fold(add_shadow, pixels, edge, candidates=near, scale=scale) & (facing > 0)
     if needs.highlights:

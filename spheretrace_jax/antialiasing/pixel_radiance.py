@@ -14,13 +14,14 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from ..base.types import Ids, Index, Mask, PixelArray
-from ..base.vec import Vec, where, zeros
+from ..base.vec import Vec, spread, where, zeros
 from ..scene.camera import Ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit, Surface
 from ..tracing.path import Path, continues, first_path
 from ..xla.compaction import nth_set
+from ..xla.gather import take_pixels
 from ..xla.rematerialization import remat
 from .compositing import Layers, composite_layers, rows_at, secondary_path
 from .depth_peeling import most_layers
@@ -114,8 +115,7 @@ class _Looks(eqx.Module):
     ) -> tuple[Vec, Layers]:
         bounces, count = self.context.settings.bounces, self.alive.size
         context = self.context.at_pixels(look.pixel)
-        rays = jax.tree.map(lambda x: x[None], self.ray)
-        from_eye = rows_at(rays, jnp.zeros_like(look.pixel), look.pixel, count)
+        from_eye = spread(take_pixels(self.ray, look.pixel, count), look.pixel.shape)
         layer = rows_at(seen, look.layer, look.pixel, count)
 
         def from_layer() -> tuple[Differential[Ray], Hit, PixelArray]:

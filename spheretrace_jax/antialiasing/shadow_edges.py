@@ -15,7 +15,7 @@ from ..base.safe_math import clamp, larger, safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit, where
 from ..scene.camera import Ray, unit_ray
-from ..tracing.candidates import few_shadow_candidates
+from ..tracing.candidates import few_shadow_candidates, shadow_cone
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit, ShadowedPixel
@@ -220,9 +220,8 @@ def _find_occluders(
         crosses = dark.some & ~dark.all
         new = jnp.where(crosses, number, count).astype(edges[0].number.dtype)
         new, kept = _Edge(new, dark.center), []
-        # the first ones by number, so that their order does not matter, nor whether one comes again
+        # the first ones by number, so that the order in which they come does not matter
         for edge in edges:
-            new = _Edge(jnp.where(new.number == edge.number, count, new.number), new.center)
             sooner = new.number < edge.number
             kept.append(where(sooner, new, edge))
             new = where(sooner, edge, new)
@@ -232,12 +231,12 @@ def _find_occluders(
     nothing = _Edge(jnp.full(shape, count, smallest_int(count + 1)), nowhere)
     done = lambda state: state[0]
     radius = pixel.footprint
-    if (
-        context.needs.inside
-    ):  # the sphere that is seen from inside, where the mean point lies off it
+    if context.needs.inside:
+        # a sphere that is seen from inside shadows itself, also where the mean point lies off it
         away = norm(point.value - context.sphere(hit.id).center)
         radius = jnp.where(hit.inside, larger(radius, away), radius)
-    near = few_shadow_candidates(context, light, point.value, radius, hit.id >= 0, done)
+    way = shadow_cone(light, point.value, radius, hit.id >= 0)
+    near = few_shadow_candidates(context, way, done)
     occluded, edges = context.fold(
         add, (pixel, hit), (nowhere, (nothing,) * EDGES), candidates=near, unroll=0
     )

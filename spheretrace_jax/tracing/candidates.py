@@ -4,6 +4,7 @@ A pixel is wider than its ray, so that more spheres may matter to it than its ra
 the same among their candidates as among all spheres.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
@@ -61,45 +62,41 @@ def nearest_in_cone(
     return partial(accelerator.sphere_blocks.visit_each, cone, max_distance, True)
 
 
+def shadow_cone(light: Vec, point: Vec, radius: PixelArray, alive: Mask) -> PixelCone:
+    """Returns what balls around surface points see of the way to a light."""
+    to_light = light - point
+    ray = Ray(point, unit(to_light))
+    return PixelCone(ray, radius, jnp.zeros_like(radius), alive, -radius, norm(to_light))
+
+
 def shadow_candidates(
-    context: TraceContext,
-    light: Vec,
-    point: Vec,
-    radius: PixelArray,
-    alive: Mask,
-    done: Callable[[T], Mask],
+    context: TraceContext, light: Vec, cone: PixelCone, done: Callable[[T], Mask]
 ) -> Candidates | None:
     """Returns the spheres between a light and what a picture's pixels show; None for all spheres.
 
     Spheres may come more than once.
 
-    **Arguments:** `point`, `radius`: a ball around the surface in a pixel. `alive`: true where
-    there is a pixel. `done`: true of a state that no sphere changes.
+    **Arguments:** `cone`: that of `shadow_cone`. `done`: true of a state that no sphere changes.
     """
     accelerator = context.accelerator
     if accelerator is None or accelerator.light_buffers is None:
         return None
     blocks = accelerator.sphere_blocks
     assert blocks is not None
-    cells = accelerator.light_buffer(light).cells_around(point, radius)
+    cells = accelerator.light_buffer(light).cells_around(cone.ray.origin, cone.radius)
     few = cells.count <= _MOST_CELLS
-    cone = _toward_light(light, point, radius, alive & ~few)
+    wide = dataclasses.replace(cone, alive=cone.alive & ~few)
 
     def visit(visitor: Visitor, pixels: Any, state: T) -> T:
-        state = cells.visit(alive & few, done, visitor, pixels, state)
-        others = lambda state: blocks.visit(cone, visitor, pixels, state)
-        return lax.cond(jnp.any(cone.alive), others, lambda state: state, state)
+        state = cells.visit(cone.alive & few, done, visitor, pixels, state)
+        others = lambda state: blocks.visit(wide, visitor, pixels, state)
+        return lax.cond(jnp.any(wide.alive), others, lambda state: state, state)
 
     return visit
 
 
 def few_shadow_candidates(
-    context: TraceContext,
-    light: Vec,
-    point: Vec,
-    radius: PixelArray,
-    alive: Mask,
-    done: Callable[[T], Mask],
+    context: TraceContext, cone: PixelCone, done: Callable[[T], Mask]
 ) -> Candidates | None:
     """Returns the spheres between a light and few pixels; None for all spheres.
 
@@ -108,13 +105,6 @@ def few_shadow_candidates(
     accelerator = context.accelerator
     if accelerator is None or accelerator.sphere_blocks is None:
         return None
-    max_distance = lambda state: jnp.where(done(state), -jnp.inf, jnp.inf).astype(radius.dtype)
-    cone = _toward_light(light, point, radius, alive)
+    dtype = cone.radius.dtype
+    max_distance = lambda state: jnp.where(done(state), -jnp.inf, jnp.inf).astype(dtype)
     return partial(accelerator.sphere_blocks.visit_each, cone, max_distance, False)
-
-
-def _toward_light(light: Vec, point: Vec, radius: PixelArray, alive: Mask) -> PixelCone:
-    """Returns what balls around points see of the way to a light."""
-    to_light = light - point
-    ray = Ray(point, unit(to_light))
-    return PixelCone(ray, radius, jnp.zeros_like(radius), alive, -radius, norm(to_light))

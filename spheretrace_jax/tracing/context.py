@@ -158,9 +158,10 @@ class TraceContext(eqx.Module):
 
         **Arguments:** `body`: from what is known of pixels, an object, its number and a state to
         the next state. `candidates`: visits the spheres that may matter to each pixel, None for
-        all of them; spheres then come in any order, and more than once. `spheres`, `planes`: false
-        to leave out a shape that is looked at in another way. `scale`: of the objects' lengths,
-        None for 1. `unroll`: loops over at most this many objects are written out.
+        all of them; spheres then come in any order, those of `shadow_candidates` more than once.
+        `spheres`, `planes`: false to leave out a shape that is looked at in another way. `scale`:
+        of the objects' lengths, None for 1. `unroll`: loops over at most this many objects are
+        written out.
         """
         shapes: list[tuple[Sphere | Plane, int, int]] = []
         if candidates is not None:

@@ -58,7 +58,7 @@ def _closest_object(context: TraceContext, ray: Ray, source_hit: Hit | None) -> 
         return _closer(best, *_meet(object_, ray, source_hit, number, may_be_inside), number)
 
     visitor, all_spheres = partial(_visit, ray, may_be_inside), False
-    if accelerator is not None and source_hit is None and accelerator.screen_tiles.located:
+    if accelerator is not None and source_hit is None and accelerator.screen_tiles.row is not None:
         best = _unpack(_visit_tiles(accelerator.screen_tiles, ray, visitor, _pack(best)))
     elif accelerator is not None and accelerator.uniform_grid is not None:
         best = _unpack(_visit_grid(accelerator.uniform_grid, ray, source_hit, visitor, _pack(best)))
