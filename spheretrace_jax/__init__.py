@@ -7,6 +7,7 @@ from .base.errors import (
     SceneError as SceneError,
     SceneWarning as SceneWarning,
 )
+from .calibration.lights import BallLights as BallLights, lights as lights
 from .files.images import (
     read_image as read_image,
     read_mask as read_mask,

@@ -1,4 +1,4 @@
-"""The commands `spheretrace render | fit | check | study | info | convert`; all in a table."""
+"""The commands `spheretrace render | fit | lights | check | study | info | convert`; all in a table."""
 
 import time
 from dataclasses import dataclass
@@ -27,6 +27,7 @@ from .arguments import (
 from .cache import CacheCommand
 from .demo import DemoCommand
 from .fit_command import FitCommand
+from .lights_command import LightsCommand
 from .standard_streams import (
     STANDARD,
     file_to_write,
@@ -209,6 +210,7 @@ class ConvertCommand(Tracing):
 COMMANDS: dict[str, type[Command]] = {
     "render": RenderCommand,
     "fit": FitCommand,
+    "lights": LightsCommand,
     "check": CheckCommand,
     "study": StudyCommand,
     "info": InfoCommand,

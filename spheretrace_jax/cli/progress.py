@@ -1,5 +1,7 @@
 """Progress bars and spinners of the command line."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -17,6 +19,21 @@ def _bar(*columns):
 
     console = Console(stderr=True)
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+@contextmanager
+def counting(text: str, total: int) -> Iterator[Callable[[str], None]]:
+    """Shows a bar of things that are done one after the other.
+
+    **Arguments:** `text`: shown until the first is done. **Yields:** a function to call with the
+    name of each that is done.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with _bar(*columns, TimeElapsedColumn()) as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda name: bar.update(task, advance=1, description=name)
 
 
 def fit_with_progress(scene, target, **settings):
