@@ -7,6 +7,8 @@ from .base.errors import (
     SceneError as SceneError,
     SceneWarning as SceneWarning,
 )
+from .calibration.outline import ball_from_mask as ball_from_mask
+from .calibration.photo_outline import ball_from_photo as ball_from_photo
 from .files.images import (
     read_image as read_image,
     read_mask as read_mask,
