@@ -176,8 +176,8 @@ def _spot(
     center = (weight * angles) @ places / total
     away = places - center
     # the weights at the border of a saturated spot, and all others, are rounded to whole pixels
-    border = area & ~np.asarray(ndimage.binary_erosion(area))
-    unsure = border[shown.mask][part] if saturated else weight
+    inner = np.asarray(ndimage.binary_erosion(area), bool)
+    unsure = (area & ~inner)[shown.mask][part] if saturated else weight
     shares = (unsure * angles / total)[:, None] * away
     shift = (shares.T @ shares + np.eye(2) / max(len(weight), 1)) / 12
     by_center, by_ball = _derivatives(center, outline)
