@@ -8,6 +8,8 @@ from .base.errors import (
     SceneWarning as SceneWarning,
 )
 from .calibration.lights import BallLights as BallLights, lights as lights
+from .calibration.outline import ball_from_mask as ball_from_mask
+from .calibration.photo_outline import ball_from_photo as ball_from_photo
 from .files.images import (
     read_image as read_image,
     read_mask as read_mask,

@@ -177,6 +177,14 @@ def make_outline(
     return BallOutline(np.array([u, v], float), float(r), covariance, intrinsics)
 
 
+def outline_of_numbers(
+    numbers: Float[np.ndarray, "3"], intrinsics: Intrinsics, covariance: Numbers | None = None
+) -> BallOutline:
+    """Makes the outline of a ball from the vector (u, v, r), as `make_outline`."""
+    u, v, r = numbers.tolist()
+    return make_outline(u, v, r, intrinsics, covariance)
+
+
 def outline_of_ball(
     center: ArrayLike | Sequence, radius: Number, intrinsics: Intrinsics
 ) -> BallOutline:

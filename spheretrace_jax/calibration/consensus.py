@@ -1,8 +1,8 @@
 """Random sample consensus: the ball whose outline runs along most edges of a picture.
 
-Three points of an outline determine the ball. Their rays d satisfy d . w = |d|, with w the direction
-of the ball's centre divided by the cosine of its angular radius; of an orthographic camera the
-points lie on a circle. Both are linear (Fischler and Bolles 1981, for the search).
+Three points of an outline determine the ball. Their rays d satisfy d . w = |d|, with w the
+direction of the ball's centre divided by the cosine of its angular radius; of an orthographic
+camera the points lie on a circle. Both are linear (Fischler and Bolles 1981, for the search).
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from .camera import Intrinsics
 from .conic import outline_distance
 
-Points = Float[np.ndarray, "n 2"]
+Points = Float[np.ndarray, "points 2"]
 
 # How many triples of points are tried. With a tenth of the points on the outline 60 of them are.
 _TRIPLES = 60_000

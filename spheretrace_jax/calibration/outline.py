@@ -3,17 +3,17 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy import ndimage
 from scipy.special import expit
 
 from ..base.errors import InputError
 from .camera import Intrinsics, Number, intrinsics_of
-from .conic import BallOutline, make_outline, outline_distance, outline_points
+from .conic import BallOutline, outline_distance, outline_of_numbers, outline_points
 from .consensus import Points, find_outline, refine_outline, sectors_of
 from .edge_model import PIXEL, step
 
-# The least boundary that tells a ball: pairs of pixels inside and outside, and share of the outline.
+# The least boundary that tells a ball: places where it ends, and share of the outline.
 _LEAST_EDGES, _LEAST_SHARE = 12, 0.2
 
 # How many blocks the outline has in which errors may hang together. More blocks miss errors that
@@ -22,7 +22,7 @@ _BLOCKS = 16
 
 
 def ball_from_mask(
-    mask: Shaped[np.ndarray, "height width"],
+    mask: ArrayLike,
     focal: Number = np.inf,
     principal_point: tuple[Number, Number] | None = None,
 ) -> BallOutline:
@@ -32,9 +32,10 @@ def ball_from_mask(
     border, and parts of its boundary may be wrong. Where all pixels are 0 or 1, the fit separates
     the centres inside from those outside (logistic regression); else it fits the covered areas.
 
-    **Arguments:** `mask`: booleans, numbers from 0 to 1 (coverage), or integers from 0 to 255 or
-    65535. `focal`: focal length in pixels, infinite for an orthographic camera. `principal_point`:
-    (cx, cy) in pixels, by default the middle of the picture.
+    **Arguments:** `mask`: (height, width), or a grey picture (height, width, 3); booleans, numbers
+    from 0 to 1 (coverage), or integers from 0 to 255 or 65535. `focal`: focal length in pixels,
+    infinite for an orthographic camera. `principal_point`: (cx, cy) in pixels, by default the
+    middle of the picture.
 
     **Raises:** `InputError` if the mask shows no ball.
     """
@@ -58,19 +59,21 @@ def ball_from_mask(
     between = (values > 0.02) & (values < 0.98)
     fit = _fit_coverage if between.mean() > 0.02 else _separate
     ball, covariance = fit(pixels, values, ball, intrinsics)
-    return make_outline(*ball, intrinsics, covariance)
+    return outline_of_numbers(ball, intrinsics, covariance)
 
 
-def coverage_of(mask: Shaped[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+def coverage_of(mask: ArrayLike) -> Float[np.ndarray, "height width"]:
     """Converts a mask to numbers from 0 to 1: from booleans, shares, 0..255 or 0..65535.
 
     **Raises:** `InputError` for other shapes, and numbers that are no mask.
     """
     mask = np.asarray(mask)
-    if mask.ndim == 3 and (mask == mask[..., :1]).all():  # a grey picture
+    if mask.ndim == 3 and mask.size and (mask == mask[..., :1]).all():  # a grey picture
         mask = mask[..., 0]
     if mask.ndim != 2 or 0 in mask.shape:
-        raise InputError(f"mask: expected an array (height, width), got shape {mask.shape}")
+        raise InputError(
+            f"mask: expected an array (height, width) or a grey picture, got shape {mask.shape}"
+        )
     values = mask.astype(float)
     if not np.isfinite(values).all() or values.min() < 0:
         raise InputError("mask: expected numbers from 0 to 1, 255 or 65535; some are not")
@@ -84,18 +87,22 @@ def coverage_of(mask: Shaped[np.ndarray, "height width"]) -> Float[np.ndarray, "
 
 def largest_area(cover: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
     """Returns the mask with its largest area only, whose holes are filled."""
-    labels, count = ndimage.label(cover > 0.5)
-    if count == 0:
+    labels = np.zeros(cover.shape, np.int32)
+    if ndimage.label(cover > 0.5, output=labels) == 0:
         return np.zeros_like(cover)
-    sizes = np.bincount(labels.ravel())[1:]
-    area = labels == 1 + sizes.argmax()
-    filled = ndimage.binary_fill_holes(area)
+    area = labels == 1 + np.bincount(labels.ravel())[1:].argmax()
+    filled = np.asarray(ndimage.binary_fill_holes(area))
     # partly covered pixels belong to the area that they touch
-    beside = ndimage.binary_dilation(area, iterations=2) & ~ndimage.binary_dilation(
-        (labels > 0) & ~area, iterations=2
-    )
-    inside = ndimage.binary_erosion(filled, iterations=3, border_value=1)
-    return np.where(inside, 1, np.where(filled & (cover <= 0.5), 1, np.where(beside, cover, 0)))
+    others = _dilated((labels > 0) & ~area, 2)
+    partly = np.where(_dilated(area, 2) & ~others, cover, 0)
+    deep = filled & ~_dilated(~filled, 2)  # what lies there in the picture is a hole
+    return np.where(deep | (filled & ~area), 1, partly)
+
+
+def _dilated(
+    area: Bool[np.ndarray, "height width"], steps: int
+) -> Bool[np.ndarray, "height width"]:
+    return np.asarray(ndimage.binary_dilation(area, iterations=steps))
 
 
 def _edge_points(cover: Float[np.ndarray, "height width"]) -> Points:
@@ -114,7 +121,7 @@ def _band(
     points: Points,
     ball: Float[np.ndarray, "3"],
     intrinsics: Intrinsics,
-) -> tuple[Points, Float[np.ndarray, " n"]]:
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     """Returns the pixels beside an outline and their values, where the mask is not wrong."""
     spread = 1.4826 * np.median(np.abs(outline_distance(points, ball, intrinsics)[0]))
     most = max(1.2, 4 * spread)
@@ -137,7 +144,7 @@ def pixels_along(
 ) -> Int[np.ndarray, "2 n"]:
     """Returns rows and columns of the pixels within about `reach` pixels of an outline."""
     angles = np.linspace(0, 2 * np.pi, 64 + round(16 * ball[2]), endpoint=False)
-    points = outline_points(make_outline(*ball, intrinsics), angles)
+    points = outline_points(outline_of_numbers(ball, intrinsics), angles)
     steps = np.arange(-np.ceil(reach) - 1, np.ceil(reach) + 2)
     pixels = np.unique(np.floor(points).astype(int), axis=0)
     square = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 1, 2).astype(int)
@@ -225,17 +232,19 @@ def _fit_coverage(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """Fits the covered areas of pixels by least squares; the blur of the edge is free."""
     width = np.sqrt(PIXEL)
+    rows, residual = np.zeros((0, 4)), np.zeros(0)
     for _ in range(20):
-        depth, rows, _ = outline_distance(pixels, ball, intrinsics)
+        depth, by_ball, _ = outline_distance(pixels, ball, intrinsics)
         # the mean depth of an area is less than that of its centre, as the outline is curved
-        cover, by_depth = step(depth - width**2 / (2 * ball[2]), width)
-        rows = np.column_stack([rows, -depth / width]) * by_depth[:, None]
+        depth = depth - width**2 / (2 * ball[2])
+        cover, by_depth = step(depth, width)
+        rows = np.column_stack([by_ball, -depth / width]) * by_depth[:, None]
         residual = values - cover
         move = np.linalg.lstsq(rows, residual, rcond=1e-10)[0]
         ball, width = ball + move[:3], max(width + move[3], 0.1)
         if np.abs(move).max() < 1e-8:
             break
-    variance = residual @ residual / (len(values) - 4)
+    variance = max(residual @ residual / (len(values) - 4), 1e-12)
     scores = rows * (residual / variance)[:, None]
     blocks = block_of(pixels, ball)
     return ball, inflated(rows.T @ rows / variance, scores, blocks, least=1.0)[:3, :3]

@@ -1,11 +1,11 @@
 """`ball_from_photo`: finds a ball in a photograph, and fits its outline."""
 
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import ArrayLike, Float
 
 from ..base.errors import InputError
 from .camera import Intrinsics, Number, intrinsics_of
-from .conic import BallOutline, make_outline, outline_distance
+from .conic import BallOutline, outline_distance, outline_of_numbers
 from .consensus import covered_share, find_outline, refine_outline
 from .edges import Edges, find_edges
 from .limb import fit_limb
@@ -15,12 +15,13 @@ Pixels = Float[np.ndarray, "height width channels"]
 # Pixels of the longer side of the picture in which the ball is searched.
 _SMALL = 320
 
-# Distance of an edge from an outline that it supports, in pixels of the small picture.
-_TOLERANCE = 1.5
+# Distance of an edge from an outline that it supports, in pixels of the small picture: from one
+# through three edges, and from one that is fitted to many.
+_TOLERANCE, _EXACTLY = 1.5, 0.7
 
 # The share of the outline that edges must cover, and how much more of the outline that must be than
 # of other outlines beside it, which texture covers.
-_LEAST_SHARE, _BEYOND_CHANCE = 0.25, 1.6
+_LEAST_SHARE, _BEYOND_CHANCE = 0.3, 1.6
 
 # Radii of the outlines beside, by which chance is told.
 _BESIDE = (0.8, 0.88, 1.12, 1.2)
@@ -30,7 +31,7 @@ _MOST_EDGES = 3000
 
 
 def ball_from_photo(
-    picture: Num[np.ndarray, "height width *channels"],
+    picture: ArrayLike,
     near: tuple[Number, Number, Number] | None = None,
     focal: Number = np.inf,
     principal_point: tuple[Number, Number] | None = None,
@@ -41,7 +42,8 @@ def ball_from_photo(
     missing: in shadow before a dark background, hidden, or beyond the border. The fit models the
     brightness on both sides of the outline, which falls towards it like a square root.
 
-    **Arguments:** `picture`: linear numbers, any scale. `near`: (x, y, radius) of the ball in
+    **Arguments:** `picture`: (height, width, channels) or (height, width), linear
+    numbers of any scale. `near`: (x, y, radius) of the ball in
     pixels, to within a quarter of the radius; by default the whole picture is searched. `focal`,
     `principal_point`: of the camera, as in `ball_from_mask`.
 
@@ -63,10 +65,10 @@ def ball_from_photo(
             break
         factor //= 2
     ball, covariance = fit_limb(pixels, ball, intrinsics)
-    return make_outline(*ball, intrinsics, covariance)
+    return outline_of_numbers(ball, intrinsics, covariance)
 
 
-def _channels(picture: Num[np.ndarray, "height width *channels"]) -> Pixels:
+def _channels(picture: ArrayLike) -> Pixels:
     """Checks a picture. **Returns:** its channels that differ, about 1 at their largest."""
     pixels = np.asarray(picture, float)
     if pixels.ndim == 2:
@@ -89,14 +91,14 @@ def _stabilized(pixels: Pixels) -> Pixels:
     return np.sqrt(np.clip(pixels, 0, 1))
 
 
-def _shrunk(pixels: Pixels, factor: int) -> Pixels:
-    """Averages blocks of `factor` x `factor` pixels; those at the end that are not whole are left out."""
+def _shrunk(pixels: Pixels, factor: int) -> Float[np.ndarray, "rows columns channels"]:
+    """Averages blocks of `factor` x `factor` pixels, whole ones only."""
     rows, columns = (n // factor for n in pixels.shape[:2])
     cut = pixels[: rows * factor, : columns * factor]
     return cut.reshape(rows, factor, columns, factor, -1).mean((1, 3))
 
 
-def _scaled(intrinsics: Intrinsics, factor: float) -> Intrinsics:
+def _scaled(intrinsics: Intrinsics, factor: int) -> Intrinsics:
     """Returns the camera of a picture that is `factor` times smaller."""
     cx, cy = intrinsics.principal_point / factor
     return Intrinsics(intrinsics.focal / factor, cx, cy)
@@ -123,12 +125,15 @@ def _search(
         raise InputError(f"{message}; it has hardly an edge")
     points, normals = edges.points, edges.normals
     best, share, chance, most = None, 0.0, 0.0, 0.0
-    for ball, covered in find_outline(points, normals, intrinsics, _TOLERANCE, hint):
-        others = [
-            covered_share(points, normals, ball * [1, 1, scale], intrinsics, _TOLERANCE)
-            for scale in _BESIDE
-            if ball[2] * scale < intrinsics.focal
+    found = [ball for ball, _ in find_outline(points, normals, intrinsics, _TOLERANCE, hint)]
+    for ball in _distinct(found):
+        ball = _refined(edges, ball, intrinsics, 1.0)
+        outlines = [
+            ball * [1, 1, scale] for scale in (1, *_BESIDE) if ball[2] * scale < intrinsics.focal
         ]
+        covered, *others = (
+            covered_share(points, normals, outline, intrinsics, _EXACTLY) for outline in outlines
+        )
         beside = float(np.median(others))
         if (support := ball[2] * max(covered - beside, 0) ** 2) > most:
             best, share, chance, most = ball, covered, beside, support
@@ -146,17 +151,32 @@ def _follow(
     pixels: Pixels, ball: Float[np.ndarray, "3"], intrinsics: Intrinsics, factor: int
 ) -> Float[np.ndarray, "3"]:
     """Fits an outline to the edges next to it, in a picture `factor` times smaller."""
-    reach = 1.2 * np.sqrt(np.diag(make_outline(*ball, intrinsics).ellipse.shape)) + 8 * factor
+    reach = 1.2 * np.sqrt(np.diag(outline_of_numbers(ball, intrinsics).ellipse.shape)) + 8 * factor
     low = np.maximum((ball[:2] - reach) // factor, 0).astype(int) * factor
     high = np.ceil(np.maximum(ball[:2] + reach, low + 8 * factor)).astype(int)
     part = pixels[low[1] : high[1], low[0] : high[0]]
     edges = find_edges(_shrunk(part, factor))
-    points = edges.points * factor + low
-    depth, _, outward = outline_distance(points, ball, intrinsics)
-    near = (np.abs(depth) < 3 * factor) & (np.abs((edges.normals * outward).sum(1)) > 0.9)
+    return _refined(edges._replace(points=edges.points * factor + low), ball, intrinsics, factor)
+
+
+def _refined(
+    edges: Edges, ball: Float[np.ndarray, "3"], intrinsics: Intrinsics, scale: Number
+) -> Float[np.ndarray, "3"]:
+    """Fits an outline to the edges within three pixels that run along it."""
+    depth, _, outward = outline_distance(edges.points, ball, intrinsics)
+    near = (np.abs(depth) < 3 * scale) & (np.abs((edges.normals * outward).sum(1)) > 0.9)
     if near.sum() < 12:
         return ball
-    return refine_outline(points[near], ball, intrinsics, scales=(1.5 * factor, 0.7 * factor))
+    return refine_outline(edges.points[near], ball, intrinsics, scales=(1.5 * scale, 0.7 * scale))
+
+
+def _distinct(balls: list[Float[np.ndarray, "3"]]) -> list[Float[np.ndarray, "3"]]:
+    """Returns the balls that lie more than two pixels from those before them."""
+    chosen = []
+    for ball in balls:
+        if all(np.abs(ball - other).max() > 2 for other in chosen):
+            chosen.append(ball)
+    return chosen
 
 
 def _chosen(edges: Edges, which: np.ndarray) -> Edges:

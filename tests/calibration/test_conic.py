@@ -107,20 +107,20 @@ def test_deviations_are_those_of_samples(focal):
     numbers = np.array([450.0, 120, 90])
     spread = np.array([[4.0, 1, 0.5], [1, 3, -0.4], [0.5, -0.4, 2]]) * 1e-4
     outline = BallOutline(numbers[:2], 90.0, spread, camera)
-    samples = np.random.default_rng(0).multivariate_normal(numbers, spread, 4000)
+    samples = np.random.default_rng(0).multivariate_normal(numbers, spread, 2000)
     balls = [make_outline(*sample, camera).ball() for sample in samples]
 
     def check(covariance, values):
         expected = np.cov(np.transpose(values))
-        np.testing.assert_allclose(covariance, expected, atol=0.08 * abs(expected).max())
+        np.testing.assert_allclose(covariance, expected, atol=0.1 * abs(expected).max())
 
     ball = outline.ball()
     check(ball.covariance, [b.center for b in balls])
     check(ball.direction_covariance, [b.direction for b in balls])
     assert ball.angular_radius_std == pytest.approx(
-        np.std([b.angular_radius for b in balls]), rel=0.06
+        np.std([b.angular_radius for b in balls]), rel=0.08
     )
-    ellipses = [make_outline(*sample, camera).ellipse for sample in samples[:1000]]
+    ellipses = [make_outline(*sample, camera).ellipse for sample in samples]
     shapes = [e.shape[[0, 0, 1], [0, 1, 1]] for e in ellipses]
     check(outline.ellipse.covariance[:2, :2], [e.center for e in ellipses])
     check(outline.ellipse.covariance[2:, 2:], shapes)
