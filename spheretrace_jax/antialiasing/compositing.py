@@ -20,10 +20,11 @@ from ..base.vec import Vec, split, where, zeros
 from ..scene.camera import Ray, unit_ray
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
+from ..tracing.fresnel import coat_transmission
 from ..tracing.hit import Hit, Surface
-from ..tracing.material import background_color, local_color, sum_lights
+from ..tracing.material import background_color, finish_of, local_color, sum_lights
 from ..tracing.path import Path, first_path, next_path, trace_path
-from ..tracing.shading import HIGHLIGHTS, lambert, power, toward_light
+from ..tracing.shading import HIGHLIGHTS, Finish, lambert, power, toward_light
 from ..tracing.surface import mean_surface_at
 from ..xla.barriers import barrier
 from ..xla.compaction import add_where
@@ -241,13 +242,13 @@ def layer_light_terms(
     layer: VisibleLayer,
     light: Vec,
     shadows: bool,
-    exponent: PixelArray | None = None,
+    finish: Finish | None = None,
 ) -> tuple[PixelArray, PixelArray]:
     """Returns N.L and the highlight of one light, each over the part that the light reaches.
 
     The highlight ends abruptly where N.L = 0, which is an edge too.
 
-    **Arguments:** `shadows`: false where no object can stand in the light's way. `exponent`: None
+    **Arguments:** `shadows`: false where no object can stand in the light's way. `finish`: None
     for that of the objects.
     """
     ray, hit, surface, distance = layer.ray.value, layer.hit, layer.surface, layer.distance
@@ -257,8 +258,11 @@ def layer_light_terms(
     part = lit.astype(cosine.dtype)
     if shadows:
         part = part * lit_coverage(context, layer.ray, distance.extent, layer.polygon, hit, light)
+    finish = finish_of(context, hit.id) if finish is None else finish
     diffuse = _mean_lambert(context, layer, cosine, to_light) * part
-    if not context.needs.highlights:
+    if finish.ior is not None:
+        diffuse = diffuse * _mean_coat(context, layer, cosine, to_light, finish.ior)
+    if finish.exponent is None:
         return diffuse, jnp.zeros_like(diffuse)
 
     def front_area() -> PixelArray:
@@ -270,9 +274,7 @@ def layer_light_terms(
     abrupt = lit & highlight.ends_abruptly(to_light, ray.direction)
     front = lambda: (cosine > 0).astype(part.dtype)
     part = part * lax.cond(jnp.any(abrupt), front_area, front)
-    if exponent is None:
-        exponent = context.material(hit.id, lambda m: m.exponent)
-    shine = power(highlight.cosine(surface, to_light, ray.direction), exponent)
+    shine = power(highlight.cosine(surface, to_light, ray.direction), finish.exponent)
     return diffuse, shine * part
 
 
@@ -297,3 +299,23 @@ def _mean_lambert(
     )
     mixed = mixed & ~context.tables.is_plane(hit.id)
     return jnp.where(mixed, mean, larger(cosine, 0))
+
+
+def _mean_coat(
+    context: TraceContext, layer: VisibleLayer, cosine: PixelArray, to_light: Vec, ior: PixelArray
+) -> PixelArray:
+    """Returns the part of a pixel's max(N.L, 0) that a coat lets through.
+
+    **Arguments:** as for `_mean_lambert`.
+    """
+    ray, hit, distance = layer.ray.value, layer.hit, layer.distance
+    points = context.sphere(hit.id).rim_cosines(
+        ray, distance.q.value, distance.extent, cosine, to_light
+    )
+    through, lit = jnp.zeros_like(cosine), jnp.zeros_like(cosine)
+    for cos_light, cos_view in points:
+        part = larger(cos_light, 0)
+        through, lit = through + part * coat_transmission(cos_light, cos_view, ior), lit + part
+    mixed = (lit > 0) & ~context.tables.is_plane(hit.id)
+    even = coat_transmission(cosine, layer.surface.cos_view, ior)
+    return jnp.where(mixed, through / jnp.where(mixed, lit, 1), even)

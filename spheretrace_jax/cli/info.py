@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ..scene.needs import left_out
 from ..scene.scene import Scene
 from ..scene.summary import camera_line, contents, light_line, short
@@ -20,10 +22,12 @@ def print_scene(file: Path, scene: Scene) -> None:
     lines = [f"{file}: {contents(scene)}", camera_line(scene)]
     for line in (*lines, *(light_line(scene, i) for i in range(len(lights)))):
         console.print(line, highlight=False, markup=False)
-    heads = "sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic"
-    columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
+    heads = ("sphere", "center", "radius", "color", "ka", "kd", "ks", "specExp", "kgr", "kt", "pic")
+    columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt, s.pic)
+    if np.any(np.asarray(s.ior) != 1):
+        heads, columns = (*heads, "ior"), (*columns, s.ior)
     shown = min(len(s), _MOST_SPHERES)
-    row = lambda i: (str(i + 1), *(short(column[i]) for column in columns), str(s.pic[i]))
+    row = lambda i: (str(i + 1), *(short(column[i]) for column in columns))
     print_table(heads, [row(i) for i in range(shown)])
     if len(s) > shown:
         console.print(f"and {len(s) - shown} more spheres")

@@ -140,6 +140,9 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
     from_eye = np.linalg.norm(np.asarray(scene.spheres.center) - eye, axis=1) - radius
     mirrors = bool(np.any(np.asarray(tables.materials.kgr) > 0))
     inexact = {
+        "POV-Ray has no coats: ior is left out, diffuse light is Lambert's": (
+            bool(np.any(np.asarray(tables.materials.ior) != 1))
+        ),
         "POV-Ray has its own antialiasing, +A": scene.antialias,
         f"kt counts as at most {1 - _LEAST_OPACITY}": (kt > 1 - _LEAST_OPACITY).any(),
         "rays that go straight through a sphere do not count as bounces": (

@@ -7,7 +7,7 @@ The grammar, with `//` comments to the end of the line and any white space betwe
     numlights                             then as many lines:
       Lx Ly Lz [LR LG LB]                   a light's position and colour, white by default
     numspheres                            then as many lines:
-      cx cy cz radius R G B ka kd ks specExp kgr kt pic
+      cx cy cz radius R G B ka kd ks specExp kgr kt pic [ior]
 
 and, in any order, lines that start with a keyword:
 
@@ -15,14 +15,14 @@ and, in any order, lines that start with a keyword:
     background R G B                      the colour seen by rays that meet nothing
     background_image FILE                 a picture around the scene in its place: the starry sky
     back_plane R G B ka kd                the view plane made visible
-    plane px py pz nx ny nz R G B ka kd ks specExp kgr [checker R G B size]
+    plane px py pz nx ny nz R G B ka kd ks specExp kgr [ior N] [checker R G B size]
                                           a plane through p with normal n, any number of them
     window HEIGHT                         of the window on the view plane, 512 by default
 
-Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp >= 0, radius,
-HEIGHT and size > 0, the normal not 0. FILE is relative to the scene file; a name with spaces stands
-in double quotes. Every lecture file is valid: the first six numbers may stand on one line or many,
-and each light and sphere has one line.
+Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp >= 0, ior and N
+>= 1 (1 by default: no coat), radius, HEIGHT and size > 0, the normal not 0. FILE is relative to the
+scene file; a name with spaces stands in double quotes. Every lecture file is valid: the first six
+numbers may stand on one line or many, and each light and sphere has one line.
 """
 
 import os
@@ -128,7 +128,7 @@ class _Reader:
         if self.antialias > 1:
             tokens.fail(flag, f"antialias must be 0 or 1, got {flag}")
         self.lights = [self._light(row) for row in self._rows("numlights", "light", (3, 6))]
-        self.spheres = [self._sphere(row) for row in self._rows("numspheres", "sphere", (14,))]
+        self.spheres = [self._sphere(row) for row in self._rows("numspheres", "sphere", (14, 15))]
         self._keywords()
         for token, pic in self.pics:
             if pic > len(self.files):
@@ -158,15 +158,16 @@ class _Reader:
 
     def _sphere(self, row: list[Token]) -> list[float]:
         """Reads a sphere, and warns if ka + kd > 1."""
-        values = self._values(row[:-1], SPHERE_COLUMNS)
+        values = self._values(row[:13], SPHERE_COLUMNS)
+        ior = self._value(row[14], "ior") if len(row) == 15 else 1.0
         total = values[7] + values[8]
         if total > 1 + 1e-6:
             position = f"{self.tokens.name}:{row[7].line}:{row[7].column}"
             self.warnings.append(
                 f"{position}: ka + kd is {total:.6g}, the lecture's rule is at most 1"
             )
-        self.pics.append((row[-1], self.tokens.count(row[-1], "pic")))
-        return values
+        self.pics.append((row[13], self.tokens.count(row[13], "pic")))
+        return [*values, ior]
 
     def _value(self, token: Token, name: str) -> float:
         """Reads a number within the range of its name."""
@@ -174,6 +175,8 @@ class _Reader:
             return self.tokens.between(token, name, 0, 1)
         if name == "specExp":
             return self.tokens.between(token, name, 0, np.inf)
+        if name == "ior":
+            return self.tokens.between(token, name, 1, np.inf)
         if name in ("radius", "size", "HEIGHT"):
             return self.tokens.positive(token, name)
         return self.tokens.number(token, name)
@@ -224,12 +227,15 @@ class _Reader:
         values = self._values(row[:14], _PLANE)
         if not any(values[3:6]):
             self.tokens.fail(row[3], "the normal nx ny nz of a plane must not be 0 0 0")
-        if len(row) == 14:
-            self.planes.append([*values, 0.0, 0.0, 0.0, 0.0])
-            return
-        if row[14].text != "checker":
-            self.tokens.fail(row[14], f"expected checker or the end of the line, got {row[14]}")
-        self.planes.append([*values, *self._values(row[15:], (*_COLOR, "size"))])
+        options = {14: (), 16: ("ior",), 19: ("checker",), 21: ("ior", "checker")}[len(row)]
+        for token, word in zip(row[14::2], options, strict=False):
+            if token.text != word:
+                self.tokens.fail(token, f"expected {word} or the end of the line, got {token}")
+        ior = self._value(row[15], "ior") if "ior" in options else 1.0
+        checker = [0.0, 0.0, 0.0, 0.0]
+        if "checker" in options:
+            checker = self._values(row[-4:], (*_COLOR, "size"))
+        self.planes.append([*values, *checker, ior])
 
     def _window(self, row: list[Token]) -> None:
         (self.window,) = self._values(row, ("HEIGHT",))
@@ -240,7 +246,7 @@ class _Reader:
         "background": ((3,), _background),
         "background_image": ((1,), _background_image),
         "back_plane": ((5,), _back_plane),
-        "plane": ((14, 19), _plane),
+        "plane": ((14, 16, 19, 21), _plane),
         "window": ((1,), _window),
     }
 
@@ -251,12 +257,19 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
     def table(rows: list[list[float]], columns: int) -> np.ndarray:
         return np.asarray(rows, dtype).reshape(len(rows), columns)
 
-    spheres, lights = table(reader.spheres, 13), table(reader.lights, 6)
-    planes, back = table(reader.planes, 18), reader.back_plane
+    spheres, lights = table(reader.spheres, 14), table(reader.lights, 6)
+    planes, back = table(reader.planes, 19), reader.back_plane
     pics = [pic for _, pic in reader.pics]
     texture = partial(_read_texture, reader.tokens, folder)
     return Scene(
-        Spheres(spheres[:, :3], spheres[:, 3], spheres[:, 4:7], *spheres[:, 7:].T, pic=pics),
+        Spheres(
+            spheres[:, :3],
+            spheres[:, 3],
+            spheres[:, 4:7],
+            *spheres[:, 7:13].T,
+            pic=pics,
+            ior=spheres[:, 13],
+        ),
         Lights(lights[:, :3], lights[:, 3:]),
         Camera(*(np.asarray(value, dtype) for value in (*reader.view, reader.window))),
         Planes(
@@ -266,6 +279,7 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
             *planes[:, 9:14].T,
             checker_color=planes[:, 14:17],
             checker_size=planes[:, 17],
+            ior=planes[:, 18],
         ),
         textures=[texture(*file) for file in reader.files],
         background=np.asarray(reader.background, dtype),

@@ -50,10 +50,11 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
         lines.append(
             _words(position) + ("" if np.array_equal(color, white) else " " + _words(color))
         )
-    lines += [f"{len(s)} // numspheres", f"//{' '.join(SPHERE_COLUMNS)} pic"]
+    coated = " ior" if np.any(np.asarray(s.ior) != 1) else ""
+    lines += [f"{len(s)} // numspheres", f"//{' '.join(SPHERE_COLUMNS)} pic{coated}"]
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
-    for *row, pic in zip(*(np.asarray(x) for x in columns), s.pic, strict=True):
-        lines.append(f"{_words(*row)} {pic}")
+    for *row, pic, ior in zip(*(np.asarray(x) for x in (*columns, s.pic, s.ior)), strict=True):
+        lines.append(f"{_words(*row)} {pic}" + (f" {_words(ior)}" if ior != 1 else ""))
     lines += [f"texture {_file_name(t, folder)}" for t in scene.textures]
     if (words := _words(scene.background)) != "0.0 0.0 0.0":
         lines.append(f"background {words}")
@@ -62,10 +63,11 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
     if (back := scene.back_plane) is not None:
         lines.append(f"back_plane {_words(back.color, back.ka, back.kd)}")
     columns = (planes.point, planes.normal, planes.color, planes.ka, planes.kd, planes.ks)
-    columns += (planes.exponent, planes.kgr, planes.checker_color, planes.checker_size)
-    for *row, color, size in zip(*(np.asarray(x) for x in columns), strict=True):
+    columns += (planes.exponent, planes.kgr, planes.ior, planes.checker_color, planes.checker_size)
+    for *row, ior, color, size in zip(*(np.asarray(x) for x in columns), strict=True):
+        coat = f" ior {_words(ior)}" if ior != 1 else ""
         checker = f" checker {_words(color, size)}" if size else ""
-        lines.append(f"plane {_words(*row)}{checker}")
+        lines.append(f"plane {_words(*row)}{coat}{checker}")
     if float(c.window) != DEFAULT_WINDOW:
         lines.append(f"window {_words(c.window)}")
     return "\n".join(lines) + "\n"

@@ -121,6 +121,15 @@ def check_shapes(owner: str, part: Any) -> dict[str, Any]:
     return {f"{owner}{name}": array for name, array in arrays.items()}
 
 
+def check_refraction(owner: str, ior: Any) -> None:
+    """Checks the indices of refraction of objects, if they are known.
+
+    **Raises:** `InputError` for one below 1, and for nan.
+    """
+    if not is_traced(ior) and not (np.asarray(ior) >= 1).all():
+        raise InputError(f"{owner}ior must be at least 1, got {np.min(np.asarray(ior)):g}")
+
+
 @cache
 def _axes_of(part: type) -> dict[str, tuple[int | str, ...]]:
     """Returns the axes of the fields that are arrays: lengths, or names of lengths."""

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool
 from ..base.errors import InputError
 from ..base.types import Index
 from . import feature_tests
-from .arrays import is_traced
+from .arrays import check_refraction, is_traced
 from .parameters import parameter_names, traced_names
 from .scene import Scene, check_scene
 
@@ -26,6 +26,7 @@ class Needs:
 
     shadows: bool = True  #: an object may stand between another and a light
     highlights: bool = True  #: a ks is not 0
+    coated: bool = True  #: an index of refraction is not 1
     inside: bool = True  #: a ray may start inside a sphere
     reflection: bool = True  #: a kgr is not 0
     transmission: bool = True  #: a kt is not 0
@@ -61,12 +62,13 @@ def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
     of them then share one compiled function. `free`: names of parameters that will be changed or
     differentiated later (`"ks"`, `"kgr"`, `"kt"`, `"center"`, ...). Features that free parameters
     could switch on are needed, even where the present value of a parameter is 0. A derivative with
-    respect to `ks`, `kgr` or `kt` at 0 is right only if the parameter is free.
+    respect to `ks`, `kgr` or `kt` at 0 is right only if the parameter is free. (By `ior` at 1 it is
+    0, but not the second one.)
 
     **Returns:** needs to pass to `render(..., needs=...)`.
 
-    **Raises:** `InputError` for unknown names in `free`, for scenes whose arrays do not fit, and
-    for no scene at all.
+    **Raises:** `InputError` for unknown names in `free`, for scenes whose arrays do not fit or
+    hold an index of refraction below 1, and for no scene at all.
     """
     free = parameter_names(free)
     scenes = [check_scene(s) for s in (scene if isinstance(scene, Iterable) else [scene])]
@@ -76,11 +78,17 @@ def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
 
 
 def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
-    """Finds the needs of one scene that was checked. **Arguments:** `free`: known names."""
+    """Finds the needs of one scene that was checked. **Arguments:** `free`: known names.
+
+    **Raises:** `InputError` for indices of refraction below 1: these are looked at here.
+    """
     free = free | traced_names(scene)
     spheres, planes = scene.spheres, scene.planes
+    check_refraction("spheres.", spheres.ior)
+    check_refraction("planes.", planes.ior)
 
-    ks, kgr, kt = (_nonzero(scene, name, free) for name in ("ks", "kgr", "kt"))
+    ks, kgr, kt = (_differs(scene, name, free) for name in ("ks", "kgr", "kt"))
+    ior = _differs(scene, "ior", free, plain=1)
     objects, lights = scene.objects, len(scene.lights)
     moving = free & {"center", "radius", "theta", "phi", "mu"}
     inside = bool(kt.any() or (len(spheres) and (moving or feature_tests.eye_inside(scene))))
@@ -102,6 +110,7 @@ def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
     return Needs(
         shadows=lights > len(clear) and (objects > 1 or inside),
         highlights=lights > 0 and bool(ks.any()),
+        coated=lights > 0 and bool(ior.any()),
         inside=inside,
         reflection=bool(kgr.any()),
         transmission=bool(kt.any()),
@@ -134,14 +143,16 @@ def _together(a: Needs, b: Needs) -> Needs:
     return Needs(**flags, clear=both, depth=depth)
 
 
-def _nonzero(scene: Scene, name: str, free: frozenset[str]) -> Bool[np.ndarray, " objects"]:
-    """Tells for each object whether its coefficient `name` may be other than 0."""
+def _differs(
+    scene: Scene, name: str, free: frozenset[str], plain: int = 0
+) -> Bool[np.ndarray, " objects"]:
+    """Tells for each object whether its coefficient `name` may be other than `plain`."""
     values = [
         getattr(owner, name) for owner in (scene.spheres, scene.planes) if hasattr(owner, name)
     ]
     if name in free:
         return np.full(sum(len(value) for value in values), True)
-    return np.concatenate([np.asarray(value) for value in values]) != 0
+    return np.concatenate([np.asarray(value) for value in values]) != plain
 
 
 def _any_nonzero(value: Array) -> bool:
@@ -168,6 +179,7 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
             "nothing can stand between an object and a light" if lit else "no lights",
         ),
         "highlights": ("some ks > 0", "every ks is 0" if lit else "no lights"),
+        "coated": ("some ior > 1", "every ior is 1" if lit else "no lights"),
         "inside": ("the eye is in a sphere, or light passes one", "no ray starts inside a sphere"),
         "reflection": (
             "some kgr > 0" + ("" if needed.depth is None else "; the only object mirrors no other"),

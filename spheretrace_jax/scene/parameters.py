@@ -5,6 +5,7 @@ scales a parameter to a solver's unknown is in `fit/model/parameters.py`.
 """
 
 import dataclasses
+import math
 from collections.abc import Iterable
 from typing import Any, Literal
 
@@ -14,8 +15,20 @@ from .scene import Scene
 
 Owner = Literal["spheres", "lights", "planes", "camera", "scene"]
 
-Range = Literal["unit", "positive", "nonnegative", "any"]
-"""0..1, above 0, 0 or above, any number."""
+Range = Literal["unit", "positive", "nonnegative", "refraction", "any"]
+"""0..1, above 0, 0 or above, 1 or above (a fit's up to `MOST_REFRACTION`), any number."""
+
+#: The largest index of refraction that a fit may find: diamond's is 2.42.
+MOST_REFRACTION = 2.5
+
+#: The least and the greatest that a fit may find of each range.
+LIMITS: dict[Range, tuple[float, float]] = {
+    "unit": (0.0, 1.0),
+    "positive": (0.0, math.inf),
+    "nonnegative": (0.0, math.inf),
+    "refraction": (1.0, MOST_REFRACTION),
+    "any": (-math.inf, math.inf),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +60,7 @@ PARAMETERS = (
     Parameter("exponent", "spheres", "nonnegative", fitted=True),
     Parameter("kgr", "spheres", "unit", fitted=True),
     Parameter("kt", "spheres", "unit", fitted=True),
+    Parameter("ior", "spheres", "refraction", fitted=True),
     Parameter("center", "spheres", moves_silhouettes=True, fitted=True),
     Parameter("radius", "spheres", "positive", moves_silhouettes=True, fitted=True),
     Parameter("light_position", "lights", attribute="position", fitted=True),
@@ -64,6 +78,7 @@ PARAMETERS = (
     Parameter("ks", "planes", "unit"),
     Parameter("exponent", "planes", "nonnegative"),
     Parameter("kgr", "planes", "unit"),
+    Parameter("ior", "planes", "refraction"),
     Parameter("checker_color", "planes", "unit"),
     Parameter("checker_size", "planes", "nonnegative"),
     Parameter("background", "scene", "nonnegative"),

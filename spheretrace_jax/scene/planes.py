@@ -6,7 +6,15 @@ import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
 from ..base.types import Scalar
-from .arrays import check_shapes, color_rows, floats, material_rows, number_rows, vectors
+from .arrays import (
+    check_refraction,
+    check_shapes,
+    color_rows,
+    floats,
+    material_rows,
+    number_rows,
+    vectors,
+)
 
 
 class Planes(eqx.Module):
@@ -25,6 +33,7 @@ class Planes(eqx.Module):
     ks: Float[Array, " p"]
     exponent: Float[Array, " p"]
     kgr: Float[Array, " p"]
+    ior: Float[Array, " p"]  #: index of refraction of the coat, >= 1; 1 for none
     checker_color: Float[Array, "p 3"]  #: the colour of every other square
     checker_size: Float[Array, " p"]  #: the side of a square, world units; 0 for a plain plane
 
@@ -40,19 +49,24 @@ class Planes(eqx.Module):
         kgr: ArrayLike | Sequence = 0.0,
         checker_color: ArrayLike | Sequence = (0.0, 0.0, 0.0),
         checker_size: ArrayLike | Sequence = 0.0,
+        ior: ArrayLike | Sequence = 1.0,
     ):
-        """Builds p planes. **Arguments:** as the fields; one number or colour holds for all."""
-        point, normal, checker_color, checker_size, *material = floats(
-            point, normal, checker_color, checker_size, color, ka, kd, ks, exponent, kgr
+        """Builds p planes. **Arguments:** as the fields; one number or colour holds for all.
+
+        **Raises:** `InputError` for an index of refraction below 1.
+        """
+        point, normal, checker_color, checker_size, ior, *material = floats(
+            point, normal, checker_color, checker_size, ior, color, ka, kd, ks, exponent, kgr
         )
         self.point, self.normal = vectors(point), vectors(normal)
         p = self.point.shape[0]
         self.color, self.ka, self.kd, self.ks, self.exponent, self.kgr = material_rows(p, *material)
         self.checker_color = color_rows(checker_color, p)
-        self.checker_size = number_rows(checker_size, p)
+        self.checker_size, self.ior = number_rows(checker_size, p), number_rows(ior, p)
 
     def __check_init__(self):
         check_shapes("planes.", self)
+        check_refraction("planes.", self.ior)
 
     def __len__(self) -> int:
         return self.point.shape[0]

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..base.errors import InputError
-from .arrays import check_shapes, floats, material_rows, number_rows, vectors
+from .arrays import check_refraction, check_shapes, floats, material_rows, number_rows, vectors
 
 
 class Spheres(eqx.Module):
-    """Spheres, n of them, as a struct of arrays: one row of 14 columns each in the scene file."""
+    """Spheres, n of them, as a struct of arrays: one row each of the scene file."""
 
     center: Float[Array, "n 3"]  #: world coordinates; differentiable, moves edges
     radius: Float[Array, " n"]  #: > 0, world units; differentiable, moves edges
@@ -23,6 +23,7 @@ class Spheres(eqx.Module):
     exponent: Float[Array, " n"]  #: highlight exponent, >= 0; differentiable
     kgr: Float[Array, " n"]  #: global reflection in 0..1; differentiable
     kt: Float[Array, " n"]  #: straight-through transmission in 0..1; differentiable
+    ior: Float[Array, " n"]  #: index of refraction of the coat, >= 1; 1 for none; differentiable
     pic: tuple[int, ...] = eqx.field(static=True)  #: texture number from 1, 0 for none
 
     def __init__(
@@ -37,19 +38,26 @@ class Spheres(eqx.Module):
         kgr: ArrayLike | Sequence = 0.0,
         kt: ArrayLike | Sequence = 0.0,
         pic: ArrayLike | Sequence = 0,
+        ior: ArrayLike | Sequence = 1.0,
     ):
-        """Builds n spheres. **Arguments:** as the fields; one number or colour holds for all."""
-        center, radius, kt, *material = floats(center, radius, kt, color, ka, kd, ks, exponent, kgr)
+        """Builds n spheres. **Arguments:** as the fields; one number or colour holds for all.
+
+        **Raises:** `InputError` for an index of refraction below 1.
+        """
+        center, radius, kt, ior, *material = floats(
+            center, radius, kt, ior, color, ka, kd, ks, exponent, kgr
+        )
         self.center = vectors(center)
         n = self.center.shape[0]
         self.color, self.ka, self.kd, self.ks, self.exponent, self.kgr = material_rows(n, *material)
-        self.radius, self.kt = number_rows(radius, n), number_rows(kt, n)
+        self.radius, self.kt, self.ior = (number_rows(x, n) for x in (radius, kt, ior))
         pics: Any = [pic] * n if np.ndim(pic) == 0 else pic
         self.pic = tuple(map(_whole_number, pics))
 
     def __check_init__(self):
         check_shapes("spheres.", self)
         check_pic(self)
+        check_refraction("spheres.", self.ior)
 
     def __len__(self) -> int:
         return self.center.shape[0]

@@ -27,6 +27,8 @@ def summary(scene: Any) -> str:
         lines.append(f"and {len(lights) - _MOST_LIGHTS} more lights")
     if len(spheres):
         names = ("radius", "ka", "kd", "ks", "exponent", "kgr", "kt")
+        if np.any(np.asarray(spheres.ior) != 1):
+            names += ("ior",)
         ranges = (f"{name} {_range(getattr(spheres, name))}" for name in names)
         lines.append(f"spheres: {', '.join(ranges)}")
     return "\n".join(lines)

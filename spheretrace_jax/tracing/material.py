@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..base.types import PixelArray
+from ..base.types import Ids, PixelArray
 from ..base.vec import Vec, grey, vec, where
 from ..scene.scene import Scene
 from .context import TraceContext
 from .hit import Hit, Surface
+from .shading import Finish
 from .texture import lookup, second_square, sphere_uv, texture_color
 
 #: Up to this many lights are written out; more are a loop, which compiles in the time of one.
@@ -23,6 +24,17 @@ MOST_LIGHTS = 4
 
 LightTerms = Callable[[Vec, bool], tuple[PixelArray, PixelArray]]
 """From a light's position, and whether objects may stand in its way, to lit N.L and highlight."""
+
+
+def finish_of(context: TraceContext, ids: Ids) -> Finish:
+    """Returns what shapes the terms of the objects of these numbers."""
+    needs = context.needs
+    if not (needs.highlights or needs.coated):
+        return Finish(None, None)
+    return context.material(
+        ids,
+        lambda m: Finish(m.exponent if needs.highlights else None, m.ior if needs.coated else None),
+    )
 
 
 def sum_lights(

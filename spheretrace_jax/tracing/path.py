@@ -21,9 +21,9 @@ from ..xla.rematerialization import save_residuals
 from .cone import RayCone, next_cone
 from .context import TraceContext
 from .hit import Hit, Surface
-from .material import background_color, local_color, sum_lights
+from .material import background_color, finish_of, local_color, sum_lights
 from .queries import closest_hit, light_visible
-from .shading import light_terms
+from .shading import Finish, light_terms
 from .surface import surface_at
 
 T = TypeVar("T")
@@ -69,13 +69,13 @@ def light_terms_at(
     hit: Hit,
     light: Vec,
     shadows: bool,
-    exponent: PixelArray | None = None,
+    finish: Finish | None = None,
     surface: Surface | None = None,
 ) -> tuple[PixelArray, PixelArray]:
     """Returns N.L and the highlight of one light at hits, 0 where the light does not reach.
 
     **Arguments:** `light`: its position. `shadows`: false where no object can stand in its way.
-    `exponent`: None for that of the objects. `surface`: None for that where the rays hit.
+    `finish`: None for that of the objects. `surface`: None for that where the rays hit.
     """
     highlight = context.settings.highlight if context.needs.highlights else None
     lit = hit.id >= 0
@@ -89,8 +89,8 @@ def light_terms_at(
         lit = lit & save_residuals(context.compute_once(sees_light))
 
     def terms() -> tuple[PixelArray, PixelArray]:
-        n = context.material(hit.id, lambda m: m.exponent) if exponent is None else exponent
-        return light_terms(surface_of_hit(), ray.direction, light, n, lit, highlight)
+        of_hit = finish_of(context, hit.id) if finish is None else finish
+        return light_terms(surface_of_hit(), ray.direction, light, of_hit, lit, highlight)
 
     return context.compute_pair_once(terms) if highlight else terms()
 

@@ -183,7 +183,7 @@ def normal(scene: Scene, P: Vectors, hit: Hit) -> Vectors:
 
 
 def material(scene: Scene, name: str, hit: Hit) -> Numbers | Vectors:
-    """Looks up the color, ka, kd, ks, exponent, kgr or kt of what rays meet; 0 for nothing."""
+    """Looks up the color, ka, kd, ks, exponent, kgr, kt or ior of what is met; 0 for nothing."""
     of_spheres, of_planes = getattr(scene.spheres, name), all_planes(scene)
     of_planes = 0 * of_planes.kgr if name == "kt" else getattr(of_planes, name)
     nothing = jnp.zeros((1, *of_spheres.shape[1:]), scene.dtype)  # the last row, that of id -1
@@ -233,8 +233,7 @@ def surface_color(scene: Scene, P: Vectors, N: Vectors, hit: Hit) -> Vectors:
     S, outward = material(scene, "color", hit), jnp.where(hit.behind, -N, N)
     for i, pic in enumerate(scene.spheres.pic):
         if pic > 0:
-            image = scene.textures[pic - 1].image
-            S = jnp.where(hit.id == i, S * texture_color(image, outward), S)
+            S = jnp.where(hit.id == i, S * texture_color(scene.textures[pic - 1].image, outward), S)
     checkers = all_planes(scene)
     for k, (j, (point, n)) in enumerate(planes(scene)):
         other = (hit.id == j) & second_square(P, point, n, checkers.checker_size[k])
@@ -255,21 +254,32 @@ def highlight_term(N: Vectors, L: Vectors, V: Vectors, n: Numbers, highlight: Hi
     return jnp.where(seen, jnp.where(seen, cosine, 1) ** n, jnp.where(n == 0, 1.0, 0.0))
 
 
+def transmitted(c: Numbers, n: Numbers) -> Numbers:
+    """Returns 1 - F (Fresnel): c is the cosine of incidence, t that of refraction (Snell)."""
+    t = jnp.sqrt(1 - (1 - c * c) / (n * n))
+    r_s, r_p = (c - n * t) / (c + n * t), (n * c - t) / (n * c + t)
+    return 1 - (r_s**2 + r_p**2) / 2
+
+
 def shade(
     scene: Scene, P: Vectors, N: Vectors, V: Vectors, hit: Hit, highlight: Highlight
 ) -> Vectors:
     """Shades points: C = ka A S + sum over lights l of lit_l C_l (kd (N.L_l) S + ks highlight_l).
 
-    C_l is a light's colour, A the mean of all. lit_l is 1 where N.L_l > 0 and P sees the light.
+    C_l is a light's colour, A the mean of all. lit_l is 1 where N.L_l > 0 and P sees the light. A
+    coat lets (1 - F(N.L_l)) (1 - F(N.V)) of N.L_l through (Wolff, JOSA A 11(11), 1994).
     """
     ka, kd, ks, n = (material(scene, name, hit) for name in ("ka", "kd", "ks", "exponent"))
-    S = surface_color(scene, P, N, hit)
+    S, ior = surface_color(scene, P, N, hit), jnp.where(hit.id < 0, 2, material(scene, "ior", hit))
     A = jnp.sum(scene.lights.color, axis=0)[None] / max(len(scene.lights), 1)
     C = ka * A * S
     for light, C_l in zip(scene.lights.position, scene.lights.color, strict=True):
         L, distance = unit(light[None] - P), length(light[None] - P)
         lit = (dot(N, L) > 0) & light_visible(scene, P, L, distance, hit)
-        local = kd * dot(N, L) * S + ks * highlight_term(N, L, V, n, highlight)
+        diffuse = dot(N, L)
+        if some(scene.spheres.ior - 1, scene.planes.ior - 1):
+            diffuse *= transmitted(jnp.where(lit, diffuse, 1), ior) * transmitted(dot(N, V), ior)
+        local = kd * diffuse * S + ks * highlight_term(N, L, V, n, highlight)
         C = C + jnp.where(lit, C_l[None] * local, 0)
     return C
 
@@ -310,9 +320,8 @@ def plain_radiance(
         outside = hit._replace(behind=jnp.zeros_like(hit.behind))
         seen = plain_radiance(scene, P, direction, highlight, bounces - 1, outside)
         color = color + material(scene, "kt", hit) * seen
-    background = scene.background[None]
-    if scene.sky is not None:
-        background = texture_color(scene.sky.image, direction)
+    sky = scene.sky
+    background = scene.background[None] if sky is None else texture_color(sky.image, direction)
     return jnp.where(hit.id >= 0, color, background)
 
 

@@ -3,6 +3,7 @@
     C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
 
 with S the surface's colour, C_l the light's, A the mean of all C_l, and unit vectors N, L, V, R, H.
+Beyond the lecture, an object may have a coat, which dims N.L_l (`fresnel.py`).
 """
 
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 
 from ..base.types import Highlight, Mask, PixelArray
 from ..base.vec import Vec, dot, norm, unit
+from .fresnel import coat_transmission
 from .hit import Surface
 
 
@@ -71,15 +73,24 @@ def toward_light(surface: Surface, light: Vec) -> Vec:
     return unit(light - surface.point)
 
 
+class Finish(NamedTuple):
+    """The numbers of a material that shape its terms, where the picture needs them."""
+
+    exponent: PixelArray | None  #: of the highlight; None without highlights
+    ior: PixelArray | None  #: of the coat; None where no object has one
+
+
 def light_terms(
     surface: Surface,
     direction: Vec,
     light: Vec,
-    exponent: PixelArray,
+    finish: Finish,
     lit: Mask,
     highlight: Highlight | None,
 ) -> tuple[PixelArray, PixelArray]:
     """Computes one light's terms before colours and coefficients: N.L and (R.V)^n, 0 if unlit.
+
+    Under a coat the first one is N.L (1 - F(N.L)) (1 - F(N.V)).
 
     **Arguments:** `direction`: the rays' directions. `light`: the light's position. `lit`: whether
     the light is visible from the point. `highlight`: the model; None leaves the second term out.
@@ -87,8 +98,11 @@ def light_terms(
     to_light = toward_light(surface, light)
     cosine = lambert(surface, to_light)
     lit = lit & (cosine > 0)
-    diffuse = jnp.where(lit, cosine, 0)
-    if highlight is None:
+    diffuse = cosine
+    if finish.ior is not None:
+        diffuse = cosine * coat_transmission(cosine, surface.cos_view, finish.ior)
+    diffuse = jnp.where(lit, diffuse, 0)
+    if highlight is None or finish.exponent is None:
         return diffuse, jnp.zeros_like(diffuse)
-    shine = power(HIGHLIGHTS[highlight].cosine(surface, to_light, direction), exponent)
+    shine = power(HIGHLIGHTS[highlight].cosine(surface, to_light, direction), finish.exponent)
     return diffuse, jnp.where(lit, shine, 0)

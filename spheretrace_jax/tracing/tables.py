@@ -39,6 +39,7 @@ class Material(eqx.Module):
     exponent: PixelArray
     kgr: PixelArray
     kt: PixelArray
+    ior: PixelArray
 
 
 class PixelTables(eqx.Module):
@@ -113,16 +114,19 @@ def build_tables(scene: Scene) -> SceneTables:
     """Lays out a scene for tracing."""
     s, p, back = scene.spheres, scene.planes, scene.back_plane
     planes = Plane(_columns(p.point), unit(_columns(p.normal)))
-    table = Material(_columns(p.color), p.ka, p.kd, p.ks, p.exponent, p.kgr, jnp.zeros_like(p.ka))
+    opaque = jnp.zeros_like(p.ka)
+    table = Material(_columns(p.color), p.ka, p.kd, p.ks, p.exponent, p.kgr, opaque, p.ior)
     checkers = Checker(_columns(p.checker_color), p.checker_size)
     if back is not None:
         frame, zero = view_frame(scene.camera), jnp.zeros_like(back.ka)
         middle = frame.eye + frame.forward * scene.camera.distance
         planes = _append(planes, Plane(middle, -frame.forward))
-        matte = Material(vec(back.color), back.ka, back.kd, zero, zero, zero, zero)
+        matte = Material(
+            vec(back.color), back.ka, back.kd, zero, zero, zero, zero, jnp.ones_like(zero)
+        )
         table = _append(table, matte)
         checkers = _append(checkers, Checker(SplitVec(zero, zero, zero), zero))
-    material = Material(_columns(s.color), s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
+    material = Material(_columns(s.color), s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt, s.ior)
     return SceneTables(
         spheres=Sphere(_columns(s.center), s.radius),
         planes=planes,

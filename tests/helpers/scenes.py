@@ -68,6 +68,12 @@ SCENES = {
         background=(0.1, 0.2, 0.3),
         sky=_texture(3),
     ),
+    "coated": st.Scene(
+        _spheres(ior=[1.5, 1.0, 1.2]),
+        st.Lights(WHITE),
+        CAMERA,
+        st.Planes([[0.0, 0, -80]], [[0.05, 0.1, 2]], (0.5, 0.4, 0.3), ior=1.7),
+    ),
     "inside": st.Scene(
         st.Spheres([[0.0, 0, 0], [40, 60, 50]], [400.0, 50], ks=0.3, kgr=[0.3, 0.2]),
         st.Lights([[150.0, -100, 100]]),

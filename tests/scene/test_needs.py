@@ -37,6 +37,7 @@ def needed(scene, **settings) -> set[str]:
                    "background"}),
         ("planes", {"shadows", "highlights", "reflection", "planes", "checkers"}),
         ("textures", {"shadows", "highlights", "reflection", "textures", "background", "tinted"}),
+        ("coated", {"shadows", "highlights", "coated", "planes"}),
         ("inside", {"shadows", "highlights", "reflection", "inside"}),
     ],
 )  # fmt: skip
@@ -76,6 +77,7 @@ def test_what_will_be_free_is_needed():
     assert "highlights" in needed(scene, free=["ks"])
     assert {"reflection", "dark_paths"} <= needed(scene, free=["kgr"])
     assert {"transmission", "inside"} <= needed(scene, free=["kt"])
+    assert "coated" in needed(scene, free=["ior"])
 
 
 @pytest.mark.parametrize("free", ["colour", ["kgr", "light"]])
@@ -83,6 +85,15 @@ def test_unknown_names_are_refused(free):
     with pytest.raises(st.InputError, match="free must name parameters of the scene"):
         st.needs(SCENES["diffuse"], free=free)
     assert st.needs(SCENES["diffuse"], free="kgr").reflection
+
+
+@pytest.mark.parametrize("owner", ["spheres", "planes"])
+def test_an_index_of_refraction_below_1_is_refused(owner):
+    at = lambda s: getattr(s, owner).ior
+    scene = eqx.tree_at(at, SCENES["coated"], replace_fn=lambda n: n.at[0].set(0.9))
+    for call in (st.needs, lambda s: st.render(s, width=4, height=4)):
+        with pytest.raises(st.InputError, match=rf"{owner}\.ior must be at least 1, got 0\.9"):
+            call(scene)
 
 
 def test_needs_are_static_hashable_and_equal_for_scenes_alike():
@@ -107,7 +118,8 @@ def needs_inside(transform, function, *arguments) -> st.Needs:
 @pytest.mark.parametrize("transform", [jax.jit, jax.grad, jax.hessian, jax.vmap])
 def test_traced_parameters_count_as_free(transform):
     scene, batch = SCENES["diffuse"], transform is jax.vmap
-    for name, at in (("color", lambda s: s.spheres.color), ("kgr", lambda s: s.spheres.kgr)):
+    for name in ("color", "kgr", "ior"):
+        at = lambda s, name=name: getattr(s.spheres, name)
         value = at(scene)[None] if batch else at(scene)
         found = needs_inside(transform, lambda v, at=at: eqx.tree_at(at, scene, v), value)
         assert found == st.needs(scene, free=(name,))

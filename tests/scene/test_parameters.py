@@ -32,6 +32,7 @@ def test_values_lie_in_their_range():
         "unit": lambda x: (x >= 0) & (x <= 1),
         "positive": lambda x: x > 0,
         "nonnegative": lambda x: x >= 0,
+        "refraction": lambda x: x >= 1,
         "any": np.isfinite,
     }
     for scene in SCENES.values():

@@ -18,6 +18,10 @@ def test_lines_of_nine_spheres():
     ]
 
 
+def test_coats_are_named():
+    assert str(SCENES["coated"]).endswith("kt 0, ior 1 to 1.5")
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_at_most_ten_lines(name):
     assert 3 <= len(str(SCENES[name]).splitlines()) <= 10

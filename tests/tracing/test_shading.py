@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from spheretrace_jax.base.vec import SplitVec, Vec, dot, norm, reflect, unit, vec
+from spheretrace_jax.tracing.fresnel import coat_transmission
 from spheretrace_jax.tracing.hit import Surface
-from spheretrace_jax.tracing.shading import blinn, lambert, light_terms, phong, power
+from spheretrace_jax.tracing.shading import Finish, blinn, lambert, light_terms, phong, power
 
 
 def at_angle(degrees: float) -> Vec:
@@ -62,12 +63,28 @@ def test_power_of_the_positive_part(cosine, exponent, value):
 def test_unlit_points_get_no_light(exponent, degrees, lit):
     surface = viewed_from(at_angle(0))
     away = at_angle(degrees) * 1000
-    terms = light_terms(surface, -at_angle(0), away, jnp.array(exponent), jnp.array(lit), "phong")
-    assert terms == (0, 0)
+    for ior in (None, jnp.array(1.5)):
+        finish = Finish(jnp.array(exponent), ior)
+        terms = light_terms(surface, -at_angle(0), away, finish, jnp.array(lit), "phong")
+        assert terms == (0, 0)
+
+
+@pytest.mark.parametrize(("light", "viewer"), [(30, -50), (0, 0), (80, 10)])
+def test_a_coat_dims_the_diffuse_term_only(light, viewer):
+    L, V = at_angle(light), at_angle(viewer)
+    surface, n, lit = viewed_from(V), jnp.array(5.0), jnp.array(True)
+    arguments = surface, -V, L * 1000
+    (bare, shine), (coated, same) = (
+        light_terms(*arguments, Finish(n, ior), lit, "phong") for ior in (None, jnp.array(1.5))
+    )
+    through = coat_transmission(lambert(surface, L), surface.cos_view, jnp.array(1.5))
+    np.testing.assert_allclose(coated, bare * through, rtol=1e-12)
+    assert shine == same and 0 < coated < bare
 
 
 def test_light_on_the_surface_point():
     surface = viewed_from(at_angle(0))
-    arguments = surface, -at_angle(0), surface.point, jnp.array(5.0), jnp.array(True)
+    finish = Finish(jnp.array(5.0), jnp.array(1.5))
+    arguments = surface, -at_angle(0), surface.point, finish, jnp.array(True)
     assert np.isfinite(light_terms(*arguments, "blinn")).all()
     assert norm(surface.point) == 0

@@ -36,9 +36,11 @@ def null_sphere_columns(evidence: Evidence) -> Iterator[tuple[str, np.ndarray]]:
         # the first that holds is a number's reason
         reasons: list[tuple[str, Collection[str]]] = []
         if _zero(spheres.color)[i].all():
-            reasons.append((f"{sphere} is black", ("ka", "kd")))
+            reasons.append((f"{sphere} is black", ("ka", "kd", "ior")))
         if _zero(spheres.ka)[i] and _zero(spheres.kd)[i]:
             reasons.append((f"{sphere} has ka and kd 0", ("color",)))
+        if _zero(spheres.kd)[i]:
+            reasons.append((f"{sphere} has kd 0", ("ior",)))
         if _zero(spheres.ks)[i]:
             reasons.append((f"{sphere} has ks 0", ("exponent",)))
         others = names - {n for _, of_reason in reasons for n in of_reason}
@@ -49,9 +51,11 @@ def null_sphere_columns(evidence: Evidence) -> Iterator[tuple[str, np.ndarray]]:
         shows = lambda name, at=indices: name in at and not null[at[name]].any()
         if counts and not lit and not shows("kd"):
             why = f"no light reaches what is seen of {sphere}"
-            reasons.append((why, ("kd", "ks", "exponent")))
+            reasons.append((why, ("kd", "ks", "exponent", "ior")))
         elif not shows("ks"):
             reasons.append((f"no highlight is seen on {sphere}", ("ks", "exponent")))
+        if _zero(spheres.ior - 1)[i]:
+            reasons.append((f"{sphere} has ior 1, near which it hardly shows", ("ior",)))
         reasons.append((f"what is seen of {sphere} does not depend on it", names))
         for why, of_reason in reasons:
             taken = {n: left.pop(n) for n in of_reason if n in left}

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from ...base.errors import InputError
-from ...scene.parameters import FITTED
+from ...scene.parameters import FITTED, LIMITS
 from ...scene.scene import Scene
 
 Free = Sequence[str] | Mapping[str, Any]
@@ -265,8 +265,7 @@ def _bounds(
             f"bounds of {name}: the lower, {lower[above][0]:g}, is above the upper, "
             f"{upper[above][0]:g}"
         )
-    kind = "positive" if name == "exposure" else FITTED[name].range
-    least, most = {"unit": (0, 1), "any": (-np.inf, np.inf)}.get(kind, (0, np.inf))
+    least, most = LIMITS["positive" if name == "exposure" else FITTED[name].range]
     if (np.isfinite(lower) & (lower < least)).any() or (upper < least).any():
         raise InputError(f"bounds of {name} must be at least {least:g}")
     if (np.isfinite(upper) & (upper > most)).any() or (lower > most).any():

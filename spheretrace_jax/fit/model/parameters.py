@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...base.errors import InputError
-from ...scene.parameters import FITTED
+from ...scene.parameters import FITTED, MOST_REFRACTION
 from ...scene.scene import Scene
 from ...xla.jit import compiled
 from .constraints import Constraint
@@ -42,8 +42,10 @@ NAMES = (*ACCESSORS, "exposure")
 GEOMETRY = frozenset(name for name, p in FITTED.items() if p.moves_silhouettes)
 
 # Parameters are scaled by their range: folded into 0..1, fitted by their logarithm, or by their
-# absolute value. An exponent may be 0 but is fitted by its logarithm too.
-_UNIT = frozenset(name for name, p in FITTED.items() if p.range == "unit")
+# absolute value. An exponent may be 0 but is fitted by its logarithm too. Indices of refraction are
+# 1 and a part of the rest of their range.
+_REFRACTION = frozenset(name for name, p in FITTED.items() if p.range == "refraction")
+_UNIT = frozenset(name for name, p in FITTED.items() if p.range == "unit") | _REFRACTION
 _ABOVE_0 = frozenset(name for name, p in FITTED.items() if p.range == "positive")
 _LOGARITHMIC = _ABOVE_0 | {"exponent", "exposure"}
 _ABSOLUTE = frozenset(n for n, p in FITTED.items() if p.range == "nonnegative") - _LOGARITHMIC
@@ -52,6 +54,10 @@ _ABSOLUTE = frozenset(n for n, p in FITTED.items() if p.range == "nonnegative") 
 # to 1 % wherever its cosine is above 0.37, so the start hardly changes; a smaller one would have a
 # derivative by its logarithm that is as much smaller.
 _LEAST_EXPONENT = 1e-2
+
+# The index of refraction at which one of 1 starts, where no derivative would show it: that of most
+# paints and plastics.
+_COAT = 1.5
 
 
 def check_free(free: tuple[str, ...]) -> None:
@@ -130,18 +136,22 @@ class Parameters(eqx.Module):
         start = value(self.scene, name)
         if name == "exponent":
             start = jnp.maximum(start, _LEAST_EXPONENT)
-        start = start / self._unit(name)
+        if name in _REFRACTION:
+            start = jnp.where(start > 1, start, _COAT)
+        start = (start - _origin(name)) / self._unit(name)
         if name in _LOGARITHMIC:
             return jnp.log(start)
         if name in _UNIT:
             return jnp.clip(start, 0, 1)
         return jnp.maximum(start, 0) if name in _ABSOLUTE else start
 
-    def _unit(self, name: str) -> Array | int:
-        """Returns the length that makes a parameter a number of order one.
+    def _unit(self, name: str) -> Array | float | int:
+        """Returns the unit in which a parameter is a number of order one.
 
         A fit is so blind to the user's units.
         """
+        if name in _REFRACTION:
+            return MOST_REFRACTION - 1
         if name in _ABOVE_0:
             return value(self.scene, name)
         if name == "center":
@@ -163,12 +173,12 @@ class Parameters(eqx.Module):
         held = jnp.ones_like(y) if name == "exposure" else value(self.scene, name)
         return jnp.where(constraint.unknown < 0, held, natural)
 
-    def _scaled(self, name: str, y: Array, unit: Array | int) -> Array:
+    def _scaled(self, name: str, y: Array, unit: Array | float | int) -> Array:
         """Returns numbers in the scene's units."""
         if name == "light_position" and self.light_positions is not None:
             return jax.vmap(LightPosition.position)(self.light_positions, y)
         if name in _UNIT:
-            return _fold(y)
+            return _origin(name) + _fold(y) * unit
         if name in _ABSOLUTE:
             return jnp.abs(y)
         return (jnp.exp(y) if name in _LOGARITHMIC else y) * unit
@@ -201,7 +211,7 @@ class Parameters(eqx.Module):
         if constraint is None:
             return lower, upper
         unit = constraint.reduced(jnp.broadcast_to(self._unit(name), constraint.unknown.shape))
-        given = [x / unit.astype(y.dtype) for x in constraint.bounds()]
+        given = [(x - _origin(name)) / unit.astype(y.dtype) for x in constraint.bounds()]
         if name in _LOGARITHMIC:
             given = [jnp.log(jnp.maximum(x, 0)) for x in given]
         return jnp.maximum(lower, given[0]), jnp.minimum(upper, given[1])
@@ -250,6 +260,11 @@ class Parameters(eqx.Module):
             return constraint.free
         shape = (3,) if name == "exposure" else value(self.scene, name).shape
         return np.full(shape, name in self.free)
+
+
+def _origin(name: str) -> int:
+    """Returns the number of a parameter's unit range that is 0 to the solver."""
+    return 1 if name in _REFRACTION else 0
 
 
 @compiled

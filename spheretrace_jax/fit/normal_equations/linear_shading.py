@@ -2,8 +2,9 @@
 
 With the lecture's C = ka A S + sum_l C_l (kd u_l S + ks h_l), u_l = lit N.L and h_l the highlight,
 a sample's colour is linear in X = (1, u_l, h_l), with factors that are the same for all samples of
-an object. So are its derivatives: X, the derivatives of u_l and h_l by the light's position, and
-that of h_l by the exponent, are all that a step evaluates.
+an object. So are its derivatives: X, the derivatives of u_l and h_l by the light's position, that
+of h_l by the exponent, and that of u_l by the coat's index of refraction, are all that a step
+evaluates.
 """
 
 import dataclasses
@@ -21,13 +22,14 @@ from ...base.types import Ids, Index, PixelArray
 from ...base.vec import Vec, components, grey, vec, where, zeros
 from ...tracing.context import TraceContext
 from ...tracing.hit import Hit, Surface
-from ...tracing.material import MOST_LIGHTS, local_color, sum_lights
+from ...tracing.material import MOST_LIGHTS, finish_of, local_color, sum_lights
+from ...tracing.shading import Finish
 from ...xla.loops import loop
 from .jacobian_rows import TABLE_COLUMNS
 from .parameter_index import ParameterIndex
 
-Terms = Callable[[Vec, bool, PixelArray], tuple[PixelArray, PixelArray]]
-"""From a light's position, whether it may be blocked, and exponents, to u and h of samples."""
+Terms = Callable[[Vec, bool, Finish], tuple[PixelArray, PixelArray]]
+"""From a light's position, whether it may be blocked, and finishes, to u and h of samples."""
 
 Basis = Float[Array, "_ _ ..."]
 """The numbers of samples; one channel stands for all three where nothing is tinted."""
@@ -37,8 +39,8 @@ class LinearShading(eqx.Module):
     """What colours and their derivatives are made of.
 
     The numbers of a sample, its basis: 1, all u, all h (these are X); the derivatives of all h by
-    the exponent (with X these make up the columns of the object); then, light by light, the
-    derivatives of all u by the position, and those of all h.
+    the exponent, and of all u by the index of refraction (with X these make up the columns of the
+    object); then, light by light, the derivatives of all u by the position, and those of all h.
     """
 
     context: TraceContext
@@ -60,10 +62,19 @@ class LinearShading(eqx.Module):
         return 1 + (1 + self.shines) * self.lights
 
     @property
+    def finishes(self) -> dict[str, int]:
+        """Returns the parameters of finishes that are free and show.
+
+        With the place in X of the terms, light by light, whose factors are those of their columns.
+        """
+        needed = {"exponent": self.shines, "ior": self.context.needs.coated}
+        terms = {"exponent": 1 + self.lights, "ior": 1}
+        return {n: terms[n] for n in terms if needed[n] and n in self.index.spheres}
+
+    @property
     def own(self) -> int:
         """Returns how many of the numbers make up the columns of an object."""
-        by_exponent = self.shines and "exponent" in self.index.spheres
-        return self.linear + self.lights * by_exponent
+        return self.linear + self.lights * len(self.finishes)
 
     @property
     def by_position(self) -> int:
@@ -78,8 +89,11 @@ class LinearShading(eqx.Module):
     def basis(self, ids: Ids, terms: Terms, tint: Vec | None) -> Basis:
         """Returns the numbers of samples. **Arguments:** `ids`: of the objects that they show."""
         context, lights = self.context, self.context.scene.lights
-        exponent = context.material(ids, lambda m: m.exponent)
-        of_light = lambda place, shadows: self._of_light(terms, place, exponent, shadows)
+        finish = finish_of(context, ids)
+        none = jnp.zeros((0, *ids.shape), context.dtype)
+        of_light = lambda place, shadows: self._of_light(
+            lambda place, finish: terms(vec(place), shadows, finish), place, finish, none
+        )
         if self.lights <= MOST_LIGHTS:
             flags = [context.needs.shadows_of(k) for k in range(self.lights)]
             each = [of_light(*pair) for pair in zip(lights.position, flags, strict=True)]
@@ -88,31 +102,39 @@ class LinearShading(eqx.Module):
             each = lax.map(lambda place: of_light(place, context.needs.shadows), lights.position)
             parts = [x.reshape(-1, *ids.shape) for x in each]
         one = jnp.ones((1, *ids.shape), context.dtype)
-        u, h, by_exponent, u_slope, h_slope = parts or [one[:0]] * 5
+        u, h, by_exponent, by_ior, u_slope, h_slope = parts or [none] * 6
         u = jnp.concatenate([one, u])
         channels = [one] if tint is None else [t[None] for t in components(tint)]
-        numbers = [(u * t, h, by_exponent, u_slope * t, h_slope) for t in channels]
+        numbers = [(u * t, h, by_exponent, by_ior * t, u_slope * t, h_slope) for t in channels]
         return jnp.stack([jnp.concatenate(x) for x in numbers])
 
     def _of_light(
-        self, terms: Terms, place: Float[Array, " 3"], exponent: PixelArray, shadows: bool
+        self,
+        terms: Callable[[Float[Array, " 3"], Finish], tuple[PixelArray, PixelArray]],
+        place: Float[Array, " 3"],
+        finish: Finish,
+        none: Float[Array, "0 ..."],
     ) -> tuple[Float[Array, "_ ..."], ...]:
-        """Returns of one light u, h, h by the exponent, and u and h by the position."""
-        none = jnp.zeros((0, *exponent.shape), exponent.dtype)
-        at = lambda place: terms(vec(place), shadows, exponent)
+        """Returns of one light u, h, h by the exponent, u by the index, and both by the position.
+
+        **Arguments:** `none`: for what is not needed.
+        """
+        at = lambda place: terms(place, finish)
         if self.by_position:
             by = lambda step: jax.jvp(at, (place,), (step,))
             steps = jnp.eye(3, dtype=place.dtype)
             (u, h), (u_slope, h_slope) = jax.vmap(by, out_axes=(None, 0))(steps)
         else:
             (u, h), u_slope, h_slope = at(place), none, none
-        if not self.shines:
-            return u[None], none, none, u_slope, none
-        by_exponent = none
-        if self.own > self.linear:
-            of = lambda n: terms(vec(place), shadows, n)[1]
-            by_exponent = jax.jvp(of, (exponent,), (jnp.ones_like(exponent),))[1][None]
-        return u[None], h[None], by_exponent, u_slope, h_slope
+        by_exponent = by_ior = none
+        if "exponent" in self.finishes and (n := finish.exponent) is not None:
+            of = lambda n: terms(place, finish._replace(exponent=n))[1]
+            by_exponent = jax.jvp(of, (n,), (jnp.ones_like(n),))[1][None]
+        if "ior" in self.finishes and (n := finish.ior) is not None:
+            of = lambda n: terms(place, finish._replace(ior=n))[0]
+            by_ior = jax.jvp(of, (n,), (jnp.ones_like(n),))[1][None]
+        h, h_slope = (h[None], h_slope) if self.shines else (none, none)
+        return u[None], h, by_exponent, by_ior, u_slope, h_slope
 
     def seen(self, basis: Basis, factors: Float[Array, "3 x ..."]) -> Float[Array, "3 ..."]:
         """Returns the colours of samples. **Arguments:** `factors`: of the samples' objects."""
@@ -180,7 +202,8 @@ class LinearShading(eqx.Module):
 
         And the columns' places among all free parameters, `(spheres, columns)`.
         """
-        names = [name for name in self.index.spheres if name not in ("kgr", "kt", "exponent")]
+        others = {"kgr", "kt", "exponent", "ior"}
+        names = [name for name in self.index.spheres if name not in others]
         count = self.context.tables.sphere_count
         numbers = jnp.arange(count, dtype=jnp.int32)
 
@@ -193,13 +216,18 @@ class LinearShading(eqx.Module):
             none = jnp.zeros((3, self.linear, 0), self.context.dtype)
             columns = jnp.concatenate([none, *parts], axis=2)
             columns = jnp.pad(columns, ((0, 0), (0, self.own - self.linear), (0, 0)))
-            if "exponent" not in self.index.spheres:
-                return columns
-            shine = self.factors(number)[:, 1 + self.lights :]
-            column = jnp.pad(shine, ((0, 0), (self.linear, 0)))[:, : self.own, None]
-            return jnp.concatenate([columns, column], axis=2)
+            factors, at = self.factors(number), self.linear
+            for name in last:
+                column = jnp.zeros((3, self.own, 1), columns.dtype)
+                if name in self.finishes:
+                    first = self.finishes[name]
+                    of_terms = factors[:, first : first + self.lights, None]
+                    column = column.at[:, at : at + self.lights].set(of_terms)
+                    at += self.lights
+                columns = jnp.concatenate([columns, column], axis=2)
+            return columns
 
-        last = ["exponent"] if "exponent" in self.index.spheres else []
+        last = [name for name in ("exponent", "ior") if name in self.index.spheres]
         places = [self.index.spheres[name].reshape(count, -1) for name in (*names, *last)]
         places = np.concatenate([np.zeros((count, 0), int), *places], axis=1)
         return jnp.moveaxis(jax.vmap(of_sphere)(numbers), 0, 1), places

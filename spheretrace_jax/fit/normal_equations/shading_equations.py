@@ -128,8 +128,8 @@ class ShadingEquations(eqx.Module):
         context = self.shading.context
         # only where rays come from is not known any more, and shading does not ask
         ray = Ray(point.surface.point, point.direction)
-        terms = lambda light, shadows, exponent: light_terms_at(
-            context, ray, point.hit, light, shadows, exponent, point.surface
+        terms = lambda light, shadows, finish: light_terms_at(
+            context, ray, point.hit, light, shadows, finish, point.surface
         )
         return self.shading.basis(point.hit.id, terms, point.tint)
 

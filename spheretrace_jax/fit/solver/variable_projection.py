@@ -124,6 +124,8 @@ def sample_pixels(
 ) -> SampledPixels:
     """Samples the pixels that count and show spheres; more of each small sphere's."""
     scene = parameters.scene
+    if "ior" in parameters.free:  # coats are no materials here: those with which the fit begins
+        scene, _ = parameters.scene_at({"ior": parameters.start()["ior"]})
     settings = dataclasses.replace(settings, bounces=0, antialias=False, samples=1)
     weight, image = target.weight.reshape(-1, 3), target.image.reshape(-1, 3)
     pixels = np.flatnonzero((np.asarray(weight) > 0).any(axis=1)).astype(np.int32)

@@ -50,9 +50,10 @@ def mitsuba() -> tuple[Any, Any]:
 
 
 def matt(scene: Scene) -> Scene:
-    """Removes ambient light, highlights, reflections, and all lights but the first."""
+    """Removes ambient light, highlights, reflections, coats, and all lights but the first."""
     shine = lambda s: (s.spheres.ka, s.spheres.ks, s.spheres.kgr, s.spheres.kt)
     scene = eqx.tree_at(shine, scene.with_antialias(0), replace_fn=jnp.zeros_like)
+    scene = eqx.tree_at(lambda s: s.spheres.ior, scene, replace_fn=jnp.ones_like)
     first = lambda s: (s.lights.position, s.lights.color)
     return eqx.tree_at(first, scene, [x[:1] for x in first(scene)])
 

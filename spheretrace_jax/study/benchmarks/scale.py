@@ -119,6 +119,7 @@ def cloud(scene: Scene, count: int) -> Scene:
         *(jnp.asarray(x, s.radius.dtype) for x in (new_center, new_radius)),
         *(x[copied] for x in material),
         pic=tuple(s.pic[i] for i in copied),
+        ior=s.ior[copied],
     )
     return eqx.tree_at(lambda x: x.spheres, scene, spheres)
 

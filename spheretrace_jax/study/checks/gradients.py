@@ -149,10 +149,11 @@ def check_gradients(
     ahead and behind, or of one and two steps, disagree. Second derivatives along the direction,
     forward over forward, must equal central differences of the first ones in the same way.
 
-    **Arguments:** as for `render`; by default all arrays are checked, also ks, kgr and kt of 0.
-    `every`: False leaves out coefficients that are 0 in the whole scene, as absent mirrors take
-    long to compile. `second`: False leaves out second derivatives, which with covered edges take
-    about as long to compile as all else. `seed`: of the random directions and weights.
+    **Arguments:** as for `render`; by default all arrays are checked, also ks, kgr and kt of 0,
+    but not ior where every one is 1, where its derivative is 0. `every`: False leaves out
+    coefficients that are 0 in the whole scene, as absent mirrors take long to compile. `second`:
+    False leaves out second derivatives, which with covered edges take about as long to compile as
+    all else. `seed`: of the random directions and weights.
 
     **Returns:** a table with one row per array, which also counts the pixels left out.
 
@@ -204,15 +205,19 @@ def _rows(
 
 
 def present(scene: Scene) -> list[str]:
-    """Lists those of ks, kgr and kt that are not 0 in the whole scene."""
-    objects = scene.spheres, scene.planes
-    nonzero = lambda name: any(np.asarray(getattr(each, name, 0)).any() for each in objects)
-    return [name for name in ("ks", "kgr", "kt") if nonzero(name)]
+    """Lists those of ks, kgr, kt and ior that are not 0, or 1, in the whole scene."""
+    objects, plain = (scene.spheres, scene.planes), {"ks": 0, "kgr": 0, "kt": 0, "ior": 1}
+    differs = lambda name: any(
+        (np.asarray(getattr(each, name, plain[name])) != plain[name]).any() for each in objects
+    )
+    return [name for name in plain if differs(name)]
 
 
 def _idle(scene: Scene, every: bool) -> dict[str, str]:
     """Lists the arrays of a scene that have no row, with the reasons."""
     idle = {}
+    if "ior" not in present(scene):
+        idle = {f"{field}.ior": "every ior is 1" for field in ("spheres", "planes")}
     for name in () if every else ("ks", "kgr", "kt"):
         if name not in present(scene):
             names = (name, "exponent") if name == "ks" else (name,)

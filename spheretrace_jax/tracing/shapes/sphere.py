@@ -21,6 +21,10 @@ from ..hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowedPixel, Shadow
 # only touches with its corner would have no normal otherwise.
 _LEAST_RIM = 0.1
 
+# The two points of Gauss and Legendre in 0..1, of equal weights. One point is 2 to 4 times as far
+# off at a coat's rim (2.2e-2 instead of 1.3e-2 of a picture lit from the side).
+_GAUSS = (0.5 - 0.75**0.5 / 3, 0.5 + 0.75**0.5 / 3)
+
 
 class Sphere(eqx.Module):
     """The geometry of spheres."""
@@ -146,6 +150,23 @@ class Sphere(eqx.Module):
         mixed = (low < zero) & (zero < high) & (slope != 0)
         lit = (end * end - start * start) / jnp.where(mixed, interval, 1)
         return lit * (cosine + slope * (mean_root(start, end) - mean_root(low, high))), mixed
+
+    def rim_cosines(
+        self, ray: Ray, q: Vec, extent: PixelArray, cosine: PixelArray, to_light: Vec
+    ) -> list[tuple[PixelArray, PixelArray]]:
+        """Returns N.L and N.V of points that stand for equal parts of what a pixel shows.
+
+        N.L depends on half the chord h as in `mean_lambert`; the points are those of Gauss and
+        Legendre in h^2, over which the area is spread evenly.
+
+        **Arguments:** as for `mean_lambert`.
+        """
+        radius = jnp.where(self.radius > 0, self.radius, 1)
+        low, high = Sphere(self.center, radius).chord_range(q, extent)
+        slope, mean = -dot(ray.direction, to_light) / radius, mean_root(low, high)
+        least, interval = low * low, high * high - low * low
+        chords = [safe_sqrt(least + interval * place) for place in _GAUSS]
+        return [(cosine + slope * (h - mean), h / radius) for h in chords]
 
     # -- shadows
 
