@@ -16,6 +16,7 @@ from ..base.types import Highlight
 from ..scene.scene import Scene
 from ..xla.jit import compiled
 from .diagnosis.identifiability import Identifiability, identify
+from .diagnosis.model_error import with_model_error
 from .diagnosis.trust import Trust, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
 from .model.constraints import Free, objects_of
@@ -31,6 +32,10 @@ from .solver.levenberg_marquardt import BoundedLevenbergMarquardt, tolerances
 from .solver.light_search import Start, problem_starts
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
+
+#: The structured residual, as a part of a picture's root-mean-square, up to which a fit is usable:
+#: 96 % of the picture's mean square are explained then.
+TOLERANCE = 0.2
 
 # Limit of the remarks in a fit's summary, in lines.
 _MOST_REMARKS = 7
@@ -61,6 +66,7 @@ class Fit(eqx.Module):
     values: PyTree  #: the unknowns at the solution
     noise_given: bool  #: whether residuals are multiples of a known noise
     brightest_given: bool = False  #: whether the user said from where on numbers are saturated
+    tolerance: float = TOLERANCE  #: the part of the pictures that may be left unexplained
 
     def __str__(self) -> str:
         """Returns a summary of about ten lines; `repr` shows the whole pytree.
@@ -127,8 +133,10 @@ class Fit(eqx.Module):
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
-        """Returns how well the pictures determine the result."""
-        return estimate(self.problem, self.values, self.normal, 1.0 if self.noise_given else None)
+        """Returns how well the pictures determine the result, also where it explains them badly."""
+        noise = 1.0 if self.noise_given else None
+        white = estimate(self.problem, self.values, self.normal, noise)
+        return with_model_error(white, self.normal)
 
     @cached_property
     def trust(self) -> Trust:
@@ -162,6 +170,7 @@ def fit(
     max_steps: int = 300,
     rtol: float | None = None,
     atol: float | None = None,
+    tolerance: float = TOLERANCE,
     throw: bool = False,
     callback: Callable[[Progress], Any] | None = None,
     sharding: NamedSharding | None = None,
@@ -230,6 +239,8 @@ def fit(
       on the residuals; by default 1e-10 in float64 and 1e-6 in float32.
     - `max_steps`: the limit of the steps of the whole fit, over coarse pictures, all starts and
       whatever is solved again; the search for lights on a sample of pixels has none of these.
+    - `tolerance`: the structured part of the residual, as a part of the picture's
+      root-mean-square, up to which `trust` calls the result usable; up to a quarter of it, good.
     - `throw`: raise an error if the solver does not converge.
     - `callback`: called with a `Progress` after each step. If it returns True or raises
       StopIteration, the fit ends with the best scene so far.
@@ -268,6 +279,8 @@ def fit(
         )
     if gauge not in GAUGES:
         raise InputError(f"gauge must be one of {', '.join(GAUGES)}, got {gauge!r}")
+    if not 0 < tolerance <= 1:
+        raise InputError(f"tolerance must be above 0 and at most 1, got {tolerance}")
     if max_steps < 0:
         raise InputError(f"max_steps must be at least 0, got {max_steps}")
     rtol, atol = tolerances(problem.dtype, rtol, atol)
@@ -294,6 +307,7 @@ def fit(
         values=values,
         noise_given=noise is not None,
         brightest_given=brightest is not None,
+        tolerance=tolerance,
     )
     if throw and not best.interrupted and not best.converged:
         raise RuntimeError(

@@ -8,7 +8,7 @@ import optimistix as optx
 from jaxtyping import PyTree
 
 from .diagnosis.outliers import find_outliers, resting_on_outliers
-from .diagnosis.trust import explains
+from .diagnosis.residual_structure import explains
 from .problem.problem import Problem
 from .solver.driver import Driver
 
