@@ -21,6 +21,7 @@ from .diagnosis.trust import Trust, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
 from .model.constraints import Free, objects_of
 from .model.parameters import GEOMETRY
+from .model.photo_noise import PhotoNoise
 from .model.target import Loss
 from .multistart import fit_from_starts
 from .normal_equations.normal_equations import NormalEquations
@@ -102,6 +103,12 @@ class Fit(eqx.Module):
     def exposure(self) -> Float[Array, " 3"]:
         """Returns what the picture is multiplied by, per channel; 1 unless it is free."""
         return self.exposures[0]
+
+    @property
+    def photo_noise(self) -> list[PhotoNoise]:
+        """Returns each picture's noise as estimated by `noise="photo"`; else an empty list."""
+        found = (target.photo_noise for target in self.problem.targets)
+        return [PhotoNoise(*map(float, x)) for x in found if x is not None]
 
     @property
     def interrupted(self) -> bool:
@@ -190,7 +197,9 @@ def fit(
 
     - `scene`: the start; it also fixes the dtype of the fit. 1e-8 needs float64. For several
       pictures of one world a list of scenes that differ in their lights or cameras.
-    - `target`: linear RGB of shape `(height, width, 3)`; as many as there are scenes.
+    - `target`: linear RGB of shape `(height, width, 3)`, or grey, `(height, width)`; as many as
+      there are scenes. uint8, uint16 and floating numbers over 0..255 or 0..65535 are divided by
+      these, with a warning; other arguments then speak of numbers up to 1.
     - `free`: among `color ka kd ks exponent kgr kt center radius` (of all spheres),
       `light_position light_color` (of all lights), `theta phi mu distance` (of the camera) and
       `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For
@@ -209,10 +218,12 @@ def fit(
     - `own`: which of these have a value for each picture, among those of lights and camera;
       parameters that start differently must be named here. Each picture has its exposure.
     - `highlight`, `bounces`, `samples`: as for `render`.
-    - `mask`: bool of shape `(height, width)` or `(height, width, 3)`: which numbers count.
+    - `mask`: of shape `(height, width)` or `(height, width, 3)`: which numbers count. Bool, or
+      numbers over 0..1 or 0..255, of which more than half says yes.
     - `weights`: how much each number's square counts, at least 0.
     - `noise`: the standard deviation of the target's numbers; residuals and cost are then
-      multiples of it.
+      multiples of it. `"photo"`: of variance a + b I at level I, estimated from differences of
+      neighbours in the picture; `photo_noise` holds a and b.
     - `darkest`: numbers up to `darkest` are under-exposed and do not count. 0 leaves out black.
     - `brightest`: numbers from `brightest` on are saturated and do not count: one level, or one for
       each channel; inf for none. By default these are numbers at 1 in a picture without brighter
@@ -227,7 +238,9 @@ def fit(
       takes the materials that suit them best, in closed form (variable projection). `"scene"`
       does so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
       `scene` only the geometry, the number of lights and what is not free are used, and directions
-      all around are tried for the lights.
+      all around are tried for the lights. Where exponents are free, `"lights"` and `"auto"` try a
+      few. If nothing explains the picture they begin from the scene as well, and the nearest to the
+      picture is kept; a light within 1.5 radii of a sphere's middle only if it is nearer by far.
     - `gauge`: where color, ka and kd are all free, their common scale does not show: `"ka"` keeps
       ka at its start where the bounds allow it, `"color"` makes the brightest channel 1, `"none"`
       leaves what the solver came to.

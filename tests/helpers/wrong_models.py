@@ -13,7 +13,7 @@ def ball(light, **changes) -> st.Scene:
     """Makes a ball that fills two thirds of the picture's width."""
     columns = dict(color=[[0.7, 0.5, 0.4]], ka=0.1, kd=0.7, ks=0.3, exponent=20.0)
     spheres = st.Spheres([[0.0, 0, 0]], [100.0], **(columns | changes))
-    return st.Scene(spheres, st.Lights([light]), st.Camera(0.0, 0.0, 2400.0, 1200.0))
+    return st.Scene(spheres, st.Lights([light]), st.Camera(0.0, 0.0, 600.0, 1200.0))
 
 
 TRUTH = ball([500.0, 400, 700])

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..model.saturation import Plateau, plateaus
 from ..problem.labels import CHANNELS, joined, labels_of, picture_suffix
+from .color_space import better_numbers
 from .effects import effects
 from .evidence import objects_at
 from .outliers import find_outliers, resting_on_outliers
@@ -58,13 +59,26 @@ class Trust(eqx.Module):
         return effects(self.fit.problem, self.fit.uncertainty) if rest else ()
 
     @cached_property
+    def other_numbers(self) -> str | None:
+        """Returns as what the picture's numbers fit much better, if so: another colour space."""
+        fit = self.fit
+        if self.grade == "exact" or not fit.converged or fit.interrupted:
+            return None
+        return better_numbers(fit.problem, fit.values)
+
+    @cached_property
     def remarks(self) -> tuple[str, ...]:
         """Returns words for numbers at their bounds, and for what is not determined."""
         known, bounds = self.fit.identifiability, _at_bounds(self.fit)
         remarks = [f"what is left may move {words}" for words in self.effects]
+        if words := self.other_numbers:
+            remarks.append(f"the picture fits better if its numbers are taken as {words}")
         remarks += [f"at its bound: {', '.join(bounds)}"] if bounds else []
         if names := self.fit.problem.priors:
             remarks.append(f"what is known of {joined(names)} counts: priors, as given")
+        for k, (a, b) in enumerate(self.fit.photo_noise):
+            of = picture_suffix(k) if len(self.fit.photo_noise) > 1 else ""
+            remarks.append(f"noise{of} of variance {a:.2g} + {b:.2g} I, from the picture itself")
         return (*remarks, *known.undetermined, *known.weak)
 
     def __str__(self) -> str:
