@@ -9,9 +9,9 @@ from tyro.conf import Positional, arg
 
 from ..base.errors import InputError, PictureWarning
 from ..base.types import Colorspace
-from ..fit.fit import DEFAULT_FREE
+from ..fit.fit import DEFAULT_FREE, TOLERANCE
 from ..fit.model.parameters import NAMES
-from ..fit.model.target import Loss
+from ..fit.model.target import PHOTO, Loss
 from ..fit.solver.gauge import Gauge
 from ..fit.solver.light_search import Start
 from . import progress
@@ -43,7 +43,8 @@ class FitCommand(Sampling, Compiling):
 
     SCENE holds the known parameters (geometry, camera) and the first guess of the free ones. Writes
     the best scene, also when it is interrupted, and says what TARGET does not determine. Exit
-    status 1: the fit did not converge, or its scene does not explain TARGET.
+    status 1: the result is not to be used, as the fit did not converge, or its scene leaves more of
+    TARGET unexplained than the tolerance.
     """
 
     scene: SceneFile
@@ -94,8 +95,10 @@ class FitCommand(Sampling, Compiling):
         arg(metavar="X|R,G,B", help="numbers of TARGET from this on are saturated: do not count"),
     ] = None
     noise: Annotated[
-        float | None, arg(metavar="X", help="the standard deviation of TARGET's numbers")
-    ] = None
+        str | None,
+        arg(metavar="X|photo", help="the standard deviation of TARGET's numbers; photo: a + b I, "
+            "their variance at level I, is estimated from TARGET"),
+    ] = None  # fmt: skip
     loss: Annotated[Loss, arg(help="huber and cauchy bear outliers")] = "square"
     start: Annotated[
         Start,
@@ -105,6 +108,9 @@ class FitCommand(Sampling, Compiling):
         Gauge,
         arg(help="of scenes that look the same: ka as in SCENE, color as bright as can be, or any"),
     ] = "ka"
+    tolerance: Annotated[
+        float, arg(metavar="X", help="the part of TARGET that may be left unexplained")
+    ] = TOLERANCE
     max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps in all")] = 300
     report: Annotated[
         Path | None, arg(metavar="DIR", help="a folder for pictures, cost curve and a table")
@@ -121,6 +127,7 @@ class FitCommand(Sampling, Compiling):
         bounds = pairs_in("--bounds", self.bounds, "..")
         priors = pairs_in("--priors", self.priors, "+-")
         brightest = channels_in("--brightest", self.brightest)
+        noise = self._noise()
         check_one_reader(self.scene, self.target)
         if self.output != STANDARD:
             check_target(self.output)
@@ -137,8 +144,8 @@ class FitCommand(Sampling, Compiling):
         result = progress.fit_with_progress(
             scene, target, free=free, tie=tie, bounds=bounds, priors=priors,
             max_steps=self.max_steps, mask=mask, darkest=self.darkest,
-            brightest=brightest, noise=self.noise, loss=self.loss, shrink=self.shrink,
-            start=self.start, gauge=self.gauge, **self.settings,
+            brightest=brightest, noise=noise, loss=self.loss, shrink=self.shrink,
+            start=self.start, gauge=self.gauge, tolerance=self.tolerance, **self.settings,
         )  # fmt: skip
         if self.output == STANDARD:
             print(end=checked_text(result.scene, "standard output"))
@@ -152,6 +159,15 @@ class FitCommand(Sampling, Compiling):
             ):
                 say(self.output, file)
         return 130 if result.interrupted else 0 if result.trust.ok else 1
+
+    def _noise(self) -> float | str | None:
+        """Returns the noise as `fit` takes it. **Raises:** `InputError` for other words."""
+        if self.noise is None or self.noise == PHOTO:
+            return self.noise
+        try:
+            return float(self.noise)
+        except ValueError:
+            raise InputError(f"--noise must be a number or {PHOTO}, got {self.noise}") from None
 
     def _mask(self, target: Path):
         """Reads which pixels count, and says how many. **Arguments:** `target`: TARGET's file."""

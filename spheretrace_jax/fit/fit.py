@@ -16,10 +16,12 @@ from ..base.types import Highlight
 from ..scene.scene import Scene
 from ..xla.jit import compiled
 from .diagnosis.identifiability import Identifiability, identify
+from .diagnosis.model_error import with_model_error
 from .diagnosis.trust import Trust, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
 from .model.constraints import Free, objects_of
 from .model.parameters import GEOMETRY
+from .model.photo_noise import PhotoNoise
 from .model.target import Loss
 from .multistart import fit_from_starts
 from .normal_equations.normal_equations import NormalEquations
@@ -31,6 +33,10 @@ from .solver.levenberg_marquardt import BoundedLevenbergMarquardt, tolerances
 from .solver.light_search import Start, problem_starts
 
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
+
+#: The structured residual, as a part of a picture's root-mean-square, up to which a fit is usable:
+#: 96 % of the picture's mean square are explained then.
+TOLERANCE = 0.2
 
 # Limit of the remarks in a fit's summary, in lines.
 _MOST_REMARKS = 7
@@ -61,6 +67,7 @@ class Fit(eqx.Module):
     values: PyTree  #: the unknowns at the solution
     noise_given: bool  #: whether residuals are multiples of a known noise
     brightest_given: bool = False  #: whether the user said from where on numbers are saturated
+    tolerance: float = TOLERANCE  #: the part of the pictures that may be left unexplained
 
     def __str__(self) -> str:
         """Returns a summary of about ten lines; `repr` shows the whole pytree.
@@ -98,6 +105,12 @@ class Fit(eqx.Module):
         return self.exposures[0]
 
     @property
+    def photo_noise(self) -> list[PhotoNoise]:
+        """Returns each picture's noise as estimated by `noise="photo"`; else an empty list."""
+        found = (target.photo_noise for target in self.problem.targets)
+        return [PhotoNoise(*map(float, x)) for x in found if x is not None]
+
+    @property
     def interrupted(self) -> bool:
         """Returns whether the user or the callback stopped it: the scene is the best so far."""
         return self.stopped_by in ("interrupt", "callback")
@@ -127,8 +140,10 @@ class Fit(eqx.Module):
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
-        """Returns how well the pictures determine the result."""
-        return estimate(self.problem, self.values, self.normal, 1.0 if self.noise_given else None)
+        """Returns how well the pictures determine the result, also where it explains them badly."""
+        noise = 1.0 if self.noise_given else None
+        white = estimate(self.problem, self.values, self.normal, noise)
+        return with_model_error(white, self.normal)
 
     @cached_property
     def trust(self) -> Trust:
@@ -162,6 +177,7 @@ def fit(
     max_steps: int = 300,
     rtol: float | None = None,
     atol: float | None = None,
+    tolerance: float = TOLERANCE,
     throw: bool = False,
     callback: Callable[[Progress], Any] | None = None,
     sharding: NamedSharding | None = None,
@@ -181,7 +197,9 @@ def fit(
 
     - `scene`: the start; it also fixes the dtype of the fit. 1e-8 needs float64. For several
       pictures of one world a list of scenes that differ in their lights or cameras.
-    - `target`: linear RGB of shape `(height, width, 3)`; as many as there are scenes.
+    - `target`: linear RGB of shape `(height, width, 3)`, or grey, `(height, width)`; as many as
+      there are scenes. uint8, uint16 and floating numbers over 0..255 or 0..65535 are divided by
+      these, with a warning; other arguments then speak of numbers up to 1.
     - `free`: among `color ka kd ks exponent kgr kt ior center radius` (of all spheres),
       `light_position light_color` (of all lights), `theta phi mu distance` (of the camera) and
       `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01, an
@@ -200,10 +218,12 @@ def fit(
     - `own`: which of these have a value for each picture, among those of lights and camera;
       parameters that start differently must be named here. Each picture has its exposure.
     - `highlight`, `bounces`, `samples`: as for `render`.
-    - `mask`: bool of shape `(height, width)` or `(height, width, 3)`: which numbers count.
+    - `mask`: of shape `(height, width)` or `(height, width, 3)`: which numbers count. Bool, or
+      numbers over 0..1 or 0..255, of which more than half says yes.
     - `weights`: how much each number's square counts, at least 0.
     - `noise`: the standard deviation of the target's numbers; residuals and cost are then
-      multiples of it.
+      multiples of it. `"photo"`: of variance a + b I at level I, estimated from differences of
+      neighbours in the picture; `photo_noise` holds a and b.
     - `darkest`: numbers up to `darkest` are under-exposed and do not count. 0 leaves out black.
     - `brightest`: numbers from `brightest` on are saturated and do not count: one level, or one for
       each channel; inf for none. By default these are numbers at 1 in a picture without brighter
@@ -218,7 +238,9 @@ def fit(
       takes the materials that suit them best, in closed form (variable projection). `"scene"`
       does so only if it finds nothing that explains the picture. `"auto"` starts from nothing: of
       `scene` only the geometry, the number of lights and what is not free are used, and directions
-      all around are tried for the lights.
+      all around are tried for the lights. Where exponents are free, `"lights"` and `"auto"` try a
+      few. If nothing explains the picture they begin from the scene as well, and the nearest to the
+      picture is kept; a light within 1.5 radii of a sphere's middle only if it is nearer by far.
     - `gauge`: where color, ka and kd are all free, their common scale does not show: `"ka"` keeps
       ka at its start where the bounds allow it, `"color"` makes the brightest channel 1, `"none"`
       leaves what the solver came to.
@@ -230,6 +252,8 @@ def fit(
       on the residuals; by default 1e-10 in float64 and 1e-6 in float32.
     - `max_steps`: the limit of the steps of the whole fit, over coarse pictures, all starts and
       whatever is solved again; the search for lights on a sample of pixels has none of these.
+    - `tolerance`: the structured part of the residual, as a part of the picture's
+      root-mean-square, up to which `trust` calls the result usable; up to a quarter of it, good.
     - `throw`: raise an error if the solver does not converge.
     - `callback`: called with a `Progress` after each step. If it returns True or raises
       StopIteration, the fit ends with the best scene so far.
@@ -268,6 +292,8 @@ def fit(
         )
     if gauge not in GAUGES:
         raise InputError(f"gauge must be one of {', '.join(GAUGES)}, got {gauge!r}")
+    if not 0 < tolerance <= 1:
+        raise InputError(f"tolerance must be above 0 and at most 1, got {tolerance}")
     if max_steps < 0:
         raise InputError(f"max_steps must be at least 0, got {max_steps}")
     rtol, atol = tolerances(problem.dtype, rtol, atol)
@@ -294,6 +320,7 @@ def fit(
         values=values,
         noise_given=noise is not None,
         brightest_given=brightest is not None,
+        tolerance=tolerance,
     )
     if throw and not best.interrupted and not best.converged:
         raise RuntimeError(

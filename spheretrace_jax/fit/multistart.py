@@ -3,12 +3,16 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import PyTree
+from jaxtyping import Bool, PyTree
 
+from ..scene.scene import Scene
 from .diagnosis.outliers import find_outliers, resting_on_outliers
-from .diagnosis.trust import explains
+from .diagnosis.residual_structure import explains
+from .model.parameters import GEOMETRY, Parameters, bounding_sphere
 from .problem.problem import Problem
 from .solver.driver import Driver
 
@@ -20,6 +24,17 @@ _MOST_ROUNDS = 6
 # The relative change of the noise below which an estimate is the last one. It moves robust losses'
 # thresholds by as little, and estimates from a median of 10,000 numbers scatter by 1 %.
 _NOISE_CHANGE = 0.02
+
+# The decrease of the sum of squares, as a part of it, below which a step is the last one before a
+# robust loss goes on. The solution with squares is not the robust one, so need not be exact.
+_ROUGH_DECREASE = 0.01
+
+# The distance of a light from a sphere's middle, in radii, below which it is suspect: wrong models
+# are imitated by lights close by. Such a light counts if its cost is below this part of others'.
+_NEAR, _CLEARLY = 1.5, 0.8
+
+# The distance at which a fit begins once more if its light is suspect, in sizes of the scene.
+_FAR = 4.0
 
 # The part of the cost to which leaving out other numbers must lower it to be repeated. Nearer to 1
 # it is repeated where the light stays and only the numbers left out differ.
@@ -63,6 +78,11 @@ def fit_from_starts(driver: Driver, starts: Iterator[Problem], noise_given: bool
                 if _rests_on_outliers(tried[-1], noise_given):
                     tried.append(_past_shadow_edges(driver, tried[-1]))
                 return tried[-1]
+        if tried and not driver.stopped_by and _is_near(min(tried, key=_rank)):
+            started = _from_afar(min(tried, key=_rank))
+            driver.begin(started)
+            tried.append(_fit_from_start(driver, started, noise_given))
+            driver.keep(*tried[-1][:3])
         for found in sorted(tried, key=_rank):
             if driver.stopped_by or not _may_jump(found, noise_given):
                 break
@@ -78,7 +98,44 @@ def fit_from_starts(driver: Driver, starts: Iterator[Problem], noise_given: bool
 
 
 def _rank(found: Found) -> float:
-    return found.cost if np.isfinite(found.cost) else np.inf
+    """Returns what is least for the best: the cost, more for lights close to spheres."""
+    if not np.isfinite(found.cost):
+        return np.inf
+    return found.cost / _CLEARLY if _is_near(found) else found.cost
+
+
+def _is_near(found: Found) -> bool:
+    """Tells whether a light that is free is close to a sphere in scenes that explain too little."""
+    if "light_position" not in found.values or GEOMETRY & set(found.values):
+        return False
+    scenes = [scene for scene, _ in found.problem.scenes_at(found.values)]
+    return any(map(lambda s, p: _suspect(s, p).any(), scenes, found.problem.parameters))
+
+
+def _suspect(scene: Scene, parameters: Parameters) -> Bool[np.ndarray, " lights"]:
+    """Returns which lights are free and close to a sphere."""
+    center, radius = (np.asarray(x) for x in (scene.spheres.center, scene.spheres.radius))
+    offset = np.asarray(scene.lights.position)[:, None] - center[None]
+    near = (np.linalg.norm(offset, axis=-1) < _NEAR * radius[None]).any(axis=1)
+    return near & parameters.free_numbers("light_position").any(axis=1)
+
+
+def _from_afar(found: Found) -> Problem:
+    """Returns the problem from what was found, with lights that are close in the same direction."""
+
+    def away(scene: Scene, parameters: Parameters) -> Scene:
+        middle, size = (np.asarray(x) for x in bounding_sphere(scene))
+        lights = np.asarray(scene.lights.position)
+        offset = lights - middle
+        length = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-3 * size)
+        moved = np.where(
+            _suspect(scene, parameters)[:, None], middle + offset / length * _FAR * size, lights
+        )
+        return eqx.tree_at(lambda s: s.lights.position, scene, jnp.asarray(moved, scene.dtype))
+
+    scenes = [scene for scene, _ in found.problem.scenes_at(found.values)]
+    started = found.problem.starting_at(list(map(away, scenes, found.problem.parameters)))
+    return started.traced_at(started.start()) if started.edges_move else started
 
 
 def _estimates_noise(problem: Problem, noise_given: bool) -> bool:
@@ -89,6 +146,12 @@ def _fit_from_start(driver: Driver, problem: Problem, noise_given: bool) -> Foun
     """Returns what is found from a problem's start."""
     values, estimates_noise = problem.start(), _estimates_noise(problem, noise_given)
     try:
+        if problem.targets[0].loss != "square":
+            # far from the solution nearly all numbers are outliers, and tell robust losses little
+            squares = problem.with_squares()
+            values = driver.solve(squares, values, aside=True, least_decrease=_ROUGH_DECREASE)
+            if driver.stopped_by:
+                return Found(problem, values, driver.cost_at(problem, values), driver.result)
         for k in range(_MOST_ROUNDS if estimates_noise else 1):
             if estimates_noise:
                 estimated = problem.with_estimated_noise(values)

@@ -5,8 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
+from helpers.wrong_models import ambient_gradient, ball as wrong_ball, moved
 
 import spheretrace_jax as st
+from spheretrace_jax.fit.multistart import Found, _from_afar, _rank
+from spheretrace_jax.fit.problem.make_problem import make_problem
+from spheretrace_jax.fit.problem.problem import normal_at
 
 SIZE = dict(width=40, height=40)
 TRUTH = st.Scene(
@@ -144,3 +148,50 @@ def test_callback_stops_a_later_start():
 def test_negative_limit():
     with pytest.raises(st.InputError, match="max_steps must be at least 0, got -1"):
         st.fit(TRUTH, np.full((4, 4, 3), 0.5), max_steps=-1)
+
+
+def test_robust_losses_begin_from_squares():
+    """Checks that it is the sum of squares, by the same program, and that fits converge from it."""
+    noisy = np.asarray(st.render(TRUTH, **SIZE))
+    rng = np.random.default_rng(0)
+    noisy = noisy + 0.01 * rng.standard_normal(noisy.shape)
+    spoiled = rng.uniform(size=noisy.shape[:2]) < 0.05
+    noisy[spoiled] = rng.uniform(size=(np.count_nonzero(spoiled), 3))
+    problem = make_problem(TRUTH, noisy, ("color", "light_position"), bounces=5, loss="cauchy")
+    plain = make_problem(TRUTH, noisy, ("color", "light_position"), bounces=5)
+    values = problem.start()
+    robust, square = (normal_at(p, values) for p in (problem.with_squares(), plain))
+    np.testing.assert_allclose(robust.cost, square.cost, rtol=1e-12)
+    np.testing.assert_allclose(robust.square, square.square, rtol=1e-9)
+    start = eqx.tree_at(lambda s: s.lights.position, TRUTH, jnp.asarray([[-300.0, 100, 500]]))
+    found = st.fit(start, noisy, free=("color", "light_position"), loss="cauchy")
+    assert found.converged
+    np.testing.assert_allclose(found.scene.lights.position, TRUTH.lights.position, rtol=0.02)
+
+
+@pytest.mark.parametrize("start", ["lights", "auto"])
+def test_a_search_ends_no_worse_than_the_scene(start):
+    """Of a picture that no start explains the nearest is kept, the scene's own among them."""
+    light = (500.0, 400, 700)
+    picture, ball = ambient_gradient(light), moved(wrong_ball(light))
+    own, found = (st.fit(ball, picture, bounces=0, start=s) for s in ("scene", start))
+    assert found.cost <= own.cost * (1 + 1e-6)
+    assert found.converged and found.trust.grade != "exact"
+
+
+def test_lights_close_to_a_sphere_are_suspect():
+    picture = ambient_gradient((500.0, 400, 700))
+    start = wrong_ball([110.0, 0, 20])  # at 1.1 radii
+    problem = make_problem(start, picture, ("color", "light_position"), bounces=0)
+    near = Found(problem, problem.start(), 1.0, optx.RESULTS.successful)
+    far = near._replace(problem=problem.starting_at([wrong_ball([500.0, 400, 700])]))
+    far = far._replace(values=far.problem.start())
+    assert _rank(far._replace(cost=1.1)) < _rank(near) < _rank(far._replace(cost=1.5))
+    away = _from_afar(near)
+    light = np.asarray(away.parameters[0].scene.lights.position[0])
+    np.testing.assert_allclose(light / np.linalg.norm(light), np.array([11, 0, 2]) / np.sqrt(125))
+    assert np.linalg.norm(light) > 300
+    # lights that are held are not
+    held = make_problem(start, picture, ("color",), bounces=0)
+    known = Found(held, held.start(), 1.0, optx.RESULTS.successful)
+    assert _rank(known) == 1

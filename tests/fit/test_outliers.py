@@ -7,7 +7,7 @@ import pytest
 
 import spheretrace_jax as st
 from spheretrace_jax.fit.diagnosis.outliers import find_outliers, resting_on_outliers
-from spheretrace_jax.fit.diagnosis.trust import _has_8_bits
+from spheretrace_jax.fit.diagnosis.residual_structure import has_8_bits
 from spheretrace_jax.fit.problem.make_problem import make_problem
 
 PLAIN = dict(bounces=0)
@@ -81,6 +81,6 @@ def test_levels_of_8_bits():
     levels = (np.arange(256) / 255) ** 2.2
     rng = np.random.default_rng(0)
     image = rng.choice(levels, (40, 40, 3)) * (1 + 1e-6 * rng.uniform(-1, 1, (40, 40, 3)))
-    assert _has_8_bits(image.astype(np.float32))
-    assert not _has_8_bits(rng.uniform(0, 1, (40, 40, 3)))
-    assert not _has_8_bits(rng.uniform(0, 1e-3, (40, 40, 3)))
+    assert has_8_bits(image.astype(np.float32))
+    assert not has_8_bits(rng.uniform(0, 1, (40, 40, 3)))
+    assert not has_8_bits(rng.uniform(0, 1e-3, (40, 40, 3)))

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from ...base.vec import vec
 from ...rendering.samples import sample_positions, sample_rays
@@ -37,6 +37,7 @@ class VisibleObjects(eqx.Module):
     seen: Bool[ArrayLike, " objects"]  #: which objects the rays meet
     counts: Bool[ArrayLike, " objects"]  #: which objects they meet where the target counts
     lit: Bool[ArrayLike, "lights objects"]  #: which of the latter each light reaches there
+    object: Int[ArrayLike, "height width"]  #: the number of each pixel's object, -1 for none
 
 
 class Evidence:
@@ -109,6 +110,12 @@ class Evidence:
         return np.concatenate([np.ravel(array) for array in arrays])
 
 
+def objects_at(problem: Problem, values: PyTree) -> list[Int[np.ndarray, "height width"]]:
+    """Returns of each picture which object its pixels show: its number, -1 for none."""
+    pictures = zip(problem.scenes_at(values), problem.settings, problem.targets, strict=True)
+    return [np.asarray(_shown(scene, s, t.weight).object) for (scene, _), s, t in pictures]
+
+
 @compiled
 def _shown(
     scene: Scene, settings: RenderSettings, weight: Float[Array, "height width 3"]
@@ -131,7 +138,9 @@ def _shown(
         for light in scene.lights.position
     ]
     none = jnp.zeros((0, scene.objects), bool)
-    return VisibleObjects(any_of(some), any_of(counts), jnp.stack(lit) if lit else none)
+    lit = jnp.stack(lit) if lit else none
+    object_ = hit.id.astype(jnp.int32).reshape(settings.height, settings.width)
+    return VisibleObjects(any_of(some), any_of(counts), lit, object_)
 
 
 def _double(x: Array) -> np.ndarray:

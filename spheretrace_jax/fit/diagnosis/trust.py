@@ -3,56 +3,82 @@
 import re
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, PyTree
 
-from ...base.types import Picture
 from ..model.saturation import Plateau, plateaus
-from ..model.target import SIGMA_OF_MEDIAN, Target
 from ..problem.labels import CHANNELS, joined, labels_of, picture_suffix
-from ..problem.problem import Problem, pictures_at
+from .color_space import better_numbers
+from .effects import effects
+from .evidence import objects_at
 from .outliers import find_outliers, resting_on_outliers
-
-# The structured residual, whose neighbours agree, as a part of the picture's root-mean-square, from
-# which the scene does not explain the picture; and that of 8-bit pictures, whose rounding has a
-# structure of up to half a level. Lower limits distrust fits for the errors of the file.
-_UNEXPLAINED, _UNEXPLAINED_8_BIT = 1e-3, 1e-2
-
-# How far the numbers of one level of an 8-bit picture are apart at most. Its levels, as sRGB has
-# them where it is dark, are thirty times as far apart.
-_ROUNDING = 1e-5
+from .residual_structure import place_in_words, structures
 
 # The margin for chance, in standard deviations. Free numbers fit as much of any noise as there are
 # of them, give or take this margin: a scene that fits no more of a picture explains nothing.
 _CHANCE = 5
 
-# The share of its power that noise may have in common with neighbours, in standard deviations of
-# this share; it is taken off. Less would find structure in noise, 4 do so in one of 30,000.
-_NOISE_SHARE = 4
+# The part of the tolerance up to which a fit is good.
+_GOOD = 0.25
 
-# The residual from which a number is structure whatever its neighbours, in standard deviations of
-# normal noise; and the residual to which robust losses' outliers are clipped.
-_OUTLYING, _ROBUST_CLIP = 6, 3
+Grade = Literal["exact", "good", "usable", "not to be used"]
+"""How far a fit is to be trusted."""
 
 
 class Trust(eqx.Module):
-    """The verdict on a fit, and remarks."""
+    """The verdict on a fit, and remarks.
 
-    ok: bool  #: converged, and explains the picture
+    Its grade is `"exact"` where the scene explains all of the pictures but noise: what is left has
+    no structure above 0.1 % of their root-mean-square, in pictures of 8 bits 1 %. It is `"good"`
+    where the structured rest is at most a quarter of the tolerance, `"usable"` at most the
+    tolerance: standard deviations then say what the rest may do to each number. Else, and if the
+    fit did not converge, it is `"not to be used"`.
+    """
+
+    ok: bool  #: unless the grade is "not to be used"
+    grade: Grade
     verdict: str  #: one sentence
     unexplained: float  #: the structured part of the residual, as a part of the picture; at most 1
     fit: Any  #: the `Fit` itself
+
+    @property
+    def explained(self) -> float:
+        """Returns the part of the picture's mean square that the scene explains, but for noise."""
+        return 1 - self.unexplained**2
+
+    @cached_property
+    def effects(self) -> tuple[str, ...]:
+        """Returns in words what the unexplained rest may do to lights and materials.
+
+        Standard deviations of directions in degrees, of others in their units; empty where the
+        grade is exact or the fit not to be used.
+        """
+        rest = self.grade in ("good", "usable")
+        return effects(self.fit.problem, self.fit.uncertainty) if rest else ()
+
+    @cached_property
+    def other_numbers(self) -> str | None:
+        """Returns as what the picture's numbers fit much better, if so: another colour space."""
+        fit = self.fit
+        if self.grade == "exact" or not fit.converged or fit.interrupted:
+            return None
+        return better_numbers(fit.problem, fit.values)
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
         """Returns words for numbers at their bounds, and for what is not determined."""
         known, bounds = self.fit.identifiability, _at_bounds(self.fit)
-        remarks = [f"at its bound: {', '.join(bounds)}"] if bounds else []
+        remarks = [f"what is left may move {words}" for words in self.effects]
+        if words := self.other_numbers:
+            remarks.append(f"the picture fits better if its numbers are taken as {words}")
+        remarks += [f"at its bound: {', '.join(bounds)}"] if bounds else []
         if names := self.fit.problem.priors:
             remarks.append(f"what is known of {joined(names)} counts: priors, as given")
+        for k, (a, b) in enumerate(self.fit.photo_noise):
+            of = picture_suffix(k) if len(self.fit.photo_noise) > 1 else ""
+            remarks.append(f"noise{of} of variance {a:.2g} + {b:.2g} I, from the picture itself")
         return (*remarks, *known.undetermined, *known.weak)
 
     def __str__(self) -> str:
@@ -74,15 +100,18 @@ def together(sentences: tuple[str, ...]) -> list[str]:
 
 def judge(fit) -> Trust:
     """Returns what to think of a `Fit`."""
-    structures = _structures(fit.problem, fit.values)
-    worst = int(np.argmax([share for share, _, _ in structures]))
-    unexplained, where, limit = structures[worst]
-    explains = unexplained <= limit
+    found = structures(fit.problem, fit.values)
+    worst = int(np.argmax([one.unexplained for one in found]))
+    unexplained, exact = found[worst].unexplained, found[worst].explains
     nothing = _explains_nothing(fit)
-    ok, resting = fit.converged and not fit.interrupted and explains and not nothing, []
-    if ok:
+    ended = fit.converged and not fit.interrupted
+    grade, resting = _grade(unexplained, exact, fit.tolerance), []
+    if not ended or nothing:
+        grade = "not to be used"
+    if grade == "exact":
         outliers = find_outliers(fit.problem, fit.values, fit.cost)
         resting = resting_on_outliers(outliers, fit.problem, fit.values)
+        grade = "not to be used" if resting else grade
     misfit = np.sqrt(2 * fit.cost / fit.counted) if fit.counted else float("nan")
     left_out = f"; {fit.left_out} numbers left out" if fit.left_out else ""
     left_out += "".join(_saturation(fit))
@@ -90,12 +119,22 @@ def judge(fit) -> Trust:
         end = f"{fit.result_message}: the best scene so far"
     elif not fit.converged:
         end = f"NOT converged ({fit.result_message})"
-    elif not explains:
+    elif not exact:
         picture = f" {worst + 1}" if len(fit.scenes) > 1 else ""
+        where = f"most of it near column {found[worst].column}, row {found[worst].row}"
+        if ended and np.isfinite(fit.cost):
+            objects = objects_at(fit.problem, fit.values)[worst]
+            of = place_in_words(found[worst], objects, len(fit.scenes[worst].spheres))
+            where += f" ({of})"
         left = f"{unexplained:.1%} left, {where}"
         if unexplained >= 1:
             left = "it is no nearer than a black one"
-        end = f"converged, but does NOT explain picture{picture}: {left}"
+        if grade == "not to be used":
+            end = f"converged, but does NOT explain picture{picture}: {left}"
+        else:
+            end = (
+                f"converged, {grade}: explains {1 - unexplained**2:.2%} of picture{picture}, {left}"
+            )
         if fit.stopped_by == "max_steps":
             end += "; max_steps is reached, not all was tried"
     elif nothing:
@@ -105,7 +144,16 @@ def judge(fit) -> Trust:
     else:
         end = "converged"
     verdict = f"{end} after {fit.steps} steps, root-mean-square residual {misfit:.2e}{left_out}"
-    return Trust(ok=ok and not resting, verdict=verdict, unexplained=unexplained, fit=fit)
+    return Trust(grade != "not to be used", grade, verdict, unexplained, fit)
+
+
+def _grade(unexplained: float, exact: bool, tolerance: float) -> Grade:
+    """Returns the grade of a fit that converged."""
+    if exact:
+        return "exact"
+    if unexplained <= _GOOD * tolerance:
+        return "good"
+    return "usable" if unexplained <= tolerance else "not to be used"
 
 
 def _explains_nothing(fit) -> bool:
@@ -116,20 +164,6 @@ def _explains_nothing(fit) -> bool:
         return False
     chance = (free + _CHANCE * np.sqrt(2 * free)) * left / fit.counted
     return bool(power - left <= chance)
-
-
-def explains(problem: Problem, values: PyTree, cost: float) -> bool:
-    """Returns whether values of a known cost explain the pictures."""
-    # whatever its structure, no more is left than all of the residual
-    most = (np.sqrt(2 * cost / t.counted) / _scale(t) for t in problem.targets)
-    if all(share <= _UNEXPLAINED for share in most):
-        return True
-    return all(share <= limit for share, _, limit in _structures(problem, values))
-
-
-def _scale(target: Target) -> float:
-    """Returns what misfits are divided by; 1 for a black picture."""
-    return target.rms or 1.0
 
 
 def _saturation(fit) -> Iterator[str]:
@@ -158,59 +192,3 @@ def _level(top: Plateau) -> str:
 def _at_bounds(fit) -> list[str]:
     at = np.asarray(fit.problem.at_bounds(fit.values))
     return list(dict.fromkeys(labels_of(fit.problem)[at]))
-
-
-def _structures(problem: Problem, values: PyTree) -> list[tuple[float, str, float]]:
-    """Returns of each picture how much structure its residual has, where, and how much may be."""
-    pairs = zip(problem.targets, pictures_at(problem, values), strict=True)
-    return [_structure(target, *picture) for target, picture in pairs]
-
-
-def _structure(
-    target: Target, picture: Picture, exposure: Float[Array, " 3"]
-) -> tuple[float, str, float]:
-    """Returns the structure of a residual, as a part of the picture; where; and how much may be.
-
-    Noise has none: its numbers agree with no neighbours and have no outliers. The structure is the
-    share of the power that the right and lower neighbours have too, and the power of outliers.
-    """
-    residual = np.asarray(target.misfit(picture, exposure), np.float64)
-    robust = target.loss != "square"
-    if robust:  # outliers are no fault of the scene's
-        clip = _ROBUST_CLIP * float(target.noise)
-        residual = np.clip(residual, -clip, clip)
-    counts = np.asarray(target.weight) > 0
-    shared, power, pairs = 0.0, 0.0, 0
-    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
-        both = counts[a] & counts[b]
-        shared += np.sum(residual[a] * residual[b] * both)
-        power += np.sum((residual[a] ** 2 + residual[b] ** 2) * both) / 2
-        pairs += np.sum(both)
-    share = shared / power - _NOISE_SHARE / np.sqrt(pairs) if power > 0 else 0.0
-    square = residual[counts] ** 2
-    limit = np.inf if robust else _OUTLYING**2 * SIGMA_OF_MEDIAN**2 * np.median(square)
-    outliers = np.where(square > limit, square, 0)
-    structure = max(share, 0) * np.mean(square - outliers) + np.mean(outliers)
-    row, column = np.unravel_index(_smooth_power(residual).argmax(), residual.shape[:2])
-    return (
-        min(float(np.sqrt(structure) / _scale(target)), 1.0),
-        f"most of it near column {column}, row {row}",
-        _UNEXPLAINED_8_BIT if _has_8_bits(np.asarray(target.image)) else _UNEXPLAINED,
-    )
-
-
-def _has_8_bits(image: np.ndarray) -> bool:
-    """Tests whether a picture has no more than 256 levels, give or take rounding."""
-    values = np.unique(image)
-    # neighbouring levels of 8 bits are further apart than rounding, also where it is dark
-    first = np.flatnonzero(np.diff(values, prepend=-np.inf) > _ROUNDING)
-    last = np.append(first[1:], len(values)) - 1
-    return len(first) <= 256 and bool(np.all(values[last] - values[first] <= _ROUNDING))
-
-
-def _smooth_power(residual: np.ndarray) -> np.ndarray:
-    """Returns the residual's power, summed over a pixel and its eight neighbours."""
-    power = np.pad(np.sum(residual**2, axis=-1), 1)
-    height, width = residual.shape[:2]
-    near = [power[i : i + height, j : j + width] for i in range(3) for j in range(3)]
-    return np.sum(near, axis=0)

@@ -50,6 +50,14 @@ class Uncertainty(eqx.Module):
     step: Float[np.ndarray, " free"]  #: the Gauss-Newton step that is left
     reasons: tuple[str, ...]  #: sentences why directions do not show
     explained: Float[np.ndarray, "free count"]  #: these, orthonormal in scaled unknowns
+    #: S with S S^T the covariance of the unknowns by what the scene does not explain; no columns
+    #: where residuals are white noise (`model_error.py`)
+    model_error: Float[np.ndarray, "free columns"]
+
+    @property
+    def white(self) -> "Uncertainty":
+        """Returns the uncertainty by white noise alone, as if the scene explained the pictures."""
+        return eqx.tree_at(lambda u: u.model_error, self, self.model_error[:, :0])
 
     @property
     def standard_deviations(self) -> dict[str, np.ndarray]:
@@ -73,7 +81,8 @@ class Uncertainty(eqx.Module):
         In the parameters' units. Directions that are not determined are left out of it: see
         `standard_deviations`.
         """
-        half = self._half(self.jacobians[0])
+        jacobian = self.jacobians[0]
+        half = np.concatenate([self._half(jacobian), jacobian @ self.model_error], axis=1)
         return half @ half.T
 
     def of(self, function: Callable[[Any], Array]) -> np.ndarray:
@@ -120,8 +129,9 @@ class Uncertainty(eqx.Module):
         scaled = jacobian / self.spectrum.scale
         undetermined = np.linalg.norm(scaled @ self.spectrum.null_space, axis=1)
         determined = undetermined <= _DEPENDS * np.linalg.norm(scaled, axis=1)
-        scatter = np.linalg.norm(self._half(jacobian), axis=1)
-        return np.where(determined, np.hypot(scatter, jacobian @ self.step), np.inf)
+        parts = [self._half(jacobian), jacobian @ self.model_error, (jacobian @ self.step)[:, None]]
+        scatter = np.linalg.norm(np.concatenate(parts, axis=1), axis=1)
+        return np.where(determined, scatter, np.inf)
 
 
 def _stacked(arrays: list) -> np.ndarray:
@@ -160,20 +170,42 @@ def estimate(
     if noise is None and problem.targets[0].loss != "square":
         noise = float(np.mean(problem.noise))  # by the median, which outliers do not move
     elif noise is None:
-        freedom = max(problem.counted - spectrum.rank, 1)
+        freedom = max(_scattering(problem, normal) - spectrum.rank, 1)
         noise = float(np.sqrt(2 * float(normal.cost) / freedom))
     step = _step(spectrum, gradient, np.asarray(problem.at_bounds(values)))
-    return Uncertainty(noise, problem, values, spectrum, jacobians, step, sentences, explained)
+    none = np.zeros((step.size, 0))
+    return Uncertainty(
+        noise, problem, values, spectrum, jacobians, step, sentences, explained, none
+    )
+
+
+def _scattering(problem: Problem, normal: NormalEquations) -> int:
+    """Returns how many numbers may have noise: all but black ones that are drawn black."""
+    count = 0
+    for target, picture in zip(problem.targets, normal.pictures, strict=True):
+        shows = (np.asarray(target.image) != 0) | (np.asarray(picture) != 0)
+        count += int(np.count_nonzero((np.asarray(target.weight) > 0) & shows))
+    return count
 
 
 def _step(
     spectrum: Spectrum, gradient: Float[np.ndarray, " free"], held: Bool[np.ndarray, " free"]
 ) -> Float[np.ndarray, " free"]:
     """Returns the Gauss-Newton step of what is not held at a bound, in directions that show."""
-    known = np.where(held[:, None], 0, spectrum.known)
-    square = (known * spectrum.values[: spectrum.rank]) @ known.T
     down = np.where(held, 0, -gradient / spectrum.scale)
-    return np.linalg.pinv(square, spectrum.least, hermitian=True) @ down / spectrum.scale
+    inverse = np.linalg.pinv(square_of_free(spectrum, held), spectrum.least, hermitian=True)
+    return inverse @ down / spectrum.scale
+
+
+def square_of_free(
+    spectrum: Spectrum, held: Bool[np.ndarray, " free"]
+) -> Float[np.ndarray, "free free"]:
+    """Returns J^T J, its columns scaled to length 1, in directions that show.
+
+    0 in the rows and columns of what is held at a bound.
+    """
+    known = np.where(held[:, None], 0, spectrum.known)
+    return (known * spectrum.values[: spectrum.rank]) @ known.T
 
 
 def _confirmed(

@@ -6,6 +6,7 @@ Adjustment - A Modern Synthesis", 2000, section 4.3.
 """
 
 import math
+import warnings
 from typing import Any, Literal
 
 import equinox as eqx
@@ -14,12 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
-from ...base.errors import InputError, PictureError
+from ...base.errors import InputError, PictureError, PictureWarning
 from ...base.safe_math import larger
 from ...base.types import Picture
+from .photo_noise import estimate_photo_noise
+from .picture_numbers import linear_numbers, yes_or_no
 from .saturation import from_level, saturated
 
 Loss = Literal["square", "huber", "cauchy"]
+
+#: The word for noise that is estimated from the picture.
+PHOTO = "photo"
 
 #: The residual at which a loss leaves the square, in standard deviations of the noise. A smaller
 #: one passes over more outliers and is less efficient without them: these are 95 % efficient on
@@ -49,6 +55,8 @@ class Target(eqx.Module):
     weight: Float[Array, "height width 3"]  #: 0 where a number does not count
     noise: Float[Array, ""]  #: the scale of the weighted residuals, for robust losses
     loss: Loss = eqx.field(static=True)
+    #: constant and slope of the variance, if it was estimated from the picture (`photo_noise.py`)
+    photo_noise: Float[Array, " 2"] | None = None
 
     @property
     def counts(self) -> Bool[Array, "height width"]:
@@ -145,7 +153,7 @@ def make_target(
     *,
     mask: ArrayLike | None = None,
     weights: ArrayLike | None = None,
-    noise: ArrayLike | None = None,
+    noise: ArrayLike | str | None = None,
     darkest: float | None = None,
     brightest: Any = None,
     loss: Loss = "square",
@@ -160,32 +168,29 @@ def make_target(
 
     **Arguments:** as for `fit`.
 
-    **Raises:** `PictureError` for shapes other than `(height, width, 3)`, for nan and inf where
-    the picture counts, for integers, and if nothing counts; `InputError` for masks, weights and
-    noise of other shapes or values out of range.
+    **Warns:** `PictureWarning` of numbers that are scaled, and of grey pictures.
+
+    **Raises:** `PictureError` for shapes that are no picture's, for nan and inf where the picture
+    counts, for types other than floating numbers, uint8 and uint16, and if nothing counts;
+    `InputError` for masks, weights and noise of other shapes or values out of range.
     """
-    pixels = _promoted(image)
-    if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
-        raise PictureError(f"the target must have shape (height, width, 3), got {pixels.shape}")
-    if not np.issubdtype(pixels.dtype, np.floating):
-        raise PictureError(
-            f"the target must hold linear floating numbers, as read_image gives, got {pixels.dtype}"
-        )
+    pixels, said = linear_numbers(_promoted(image))
+    if said:
+        warnings.warn(said, PictureWarning, stacklevel=2)
     if loss not in _THRESHOLDS:
         raise InputError(f"loss must be one of {', '.join(_THRESHOLDS)}, got {loss!r}")
     weight = np.ones(pixels.shape, dtype)
     if mask is not None:
-        mask = _per_number(mask, pixels, "mask")
-        if mask.dtype != bool:
-            raise InputError(f"the mask must hold yes and no (bool), got {mask.dtype}")
-        weight = np.where(mask, weight, 0)
+        weight = np.where(yes_or_no(_per_number(mask, pixels, "mask")), weight, 0)
     if weights is not None:
         weights = _per_number(weights, pixels, "weights")
         if not (np.isfinite(weights) & (weights >= 0)).all():
             raise InputError("the weights must be finite and at least 0")
         # a weight counts squares, as a number of equal pixels would
         weight = weight * np.sqrt(weights)
-    if noise is not None:
+    if isinstance(noise, str) and noise != PHOTO:
+        raise InputError(f'noise must hold numbers or be "{PHOTO}", got {noise!r}')
+    if noise is not None and not isinstance(noise, str):
         noise = _per_number(noise, pixels, "noise")
         if not (np.isfinite(noise) & (noise > 0)).all():
             raise InputError("the noise must be finite and greater than 0")
@@ -205,10 +210,15 @@ def make_target(
         weight = np.where(pixels <= darkest, 0, weight)
     if not (weight > 0).any():
         raise PictureError("no number of the target counts: there is nothing to fit")
+    photo = None
+    if isinstance(noise, str):
+        estimated = estimate_photo_noise(pixels, weight > 0)
+        weight, photo = weight / estimated.deviation(pixels), jnp.asarray(estimated, dtype)
     pixels, weight = _shrunk(pixels, weight, shrink)
     if noise is not None:  # of a mean of n numbers the noise is sqrt(n) times less
         weight = weight * shrink
-    return Target(jnp.asarray(pixels, dtype), jnp.asarray(weight, dtype), jnp.ones((), dtype), loss)
+    image_, weight = jnp.asarray(pixels, dtype), jnp.asarray(weight, dtype)
+    return Target(image_, weight, jnp.ones((), dtype), loss, photo)
 
 
 def _shrunk(pixels: np.ndarray, weight: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -26,6 +26,10 @@ from ..normal_equations.parameter_index import ParameterIndex
 # while `_LEAST_BOXES` of them lie along each side; with fewer the coarse fit leads astray.
 _COARSENING, _LEAST_BOXES = 5, 48
 
+# The noise, in norms of a picture's numbers, of which no residual is a part that robust losses
+# bend: parts below the root of a rounding error.
+_BEYOND = 1e10
+
 
 class Problem(eqx.Module):
     """The pictures to fit, the scenes to start from, and what is free.
@@ -195,6 +199,14 @@ class Problem(eqx.Module):
     def with_estimated_noise(self, values: PyTree) -> "Problem":
         """Returns the problem with each target's noise estimated from the residuals at `values`."""
         return self._with_targets(Target.with_estimated_noise, values)
+
+    def with_squares(self) -> "Problem":
+        """Returns the problem in which robust losses are squares, by a noise beyond all numbers.
+
+        The program of its steps is that of the problem itself.
+        """
+        noise = [jnp.full_like(t.noise, _BEYOND * (t.norm or 1.0)) for t in self.targets]
+        return eqx.tree_at(lambda p: [t.noise for t in p.targets], self, noise)
 
     def trimmed(self, values: PyTree) -> "Problem":
         """Returns the problem without the numbers that fit worst at `values`."""

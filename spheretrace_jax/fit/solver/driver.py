@@ -184,10 +184,13 @@ class Driver:
         if cost < self._best[0]:
             self._best = cost, [scene for scene, _ in problem.scenes_at(values)]
 
-    def solve(self, problem: Problem, values: PyTree, aside: bool = False) -> PyTree:
+    def solve(
+        self, problem: Problem, values: PyTree, aside: bool = False, least_decrease: float = 0.0
+    ) -> PyTree:
         """Solves a problem, coarse pictures first at the first call.
 
         **Arguments:** `aside`: of another cost than the fit's, so that nothing found is the best.
+        `least_decrease`: a step that lowers the cost by less than this part of it is the last one.
 
         **Returns:** the best values, also if it is stopped.
         """
@@ -197,7 +200,7 @@ class Driver:
             values, step_size = self._solve(coarse, values, step_size, _COARSE_DECREASE)
             if self.stopped_by:
                 return values
-        return self._solve(problem, values, step_size, aside=aside)[0]
+        return self._solve(problem, values, step_size, least_decrease, aside)[0]
 
     def solve_and_trace(self, problem: Problem, values: PyTree) -> tuple[Problem, PyTree]:
         """Solves a problem, and again with the samples of the lights found, until these stay.
@@ -225,7 +228,7 @@ class Driver:
         problem: Problem,
         values: PyTree,
         step_size: Scalar | None,
-        least_decrease: float = 0,
+        least_decrease: float = 0.0,
         aside: bool = False,
     ) -> tuple[PyTree, Scalar | None]:
         """Solves a problem of one resolution.
@@ -278,7 +281,7 @@ class Driver:
                 before, move_before = cost, move
         except KeyboardInterrupt:
             self.stopped_by = "interrupt"
-        if state is None or not least_decrease:
+        if state is None or not (least_decrease and self.coarse_to_fine):
             return values, None
         return values, state.search_state.step_size
 

@@ -19,7 +19,9 @@ from ..model.constraints import Constraint
 from ..model.parameters import GEOMETRY, Parameters, bounding_sphere
 from ..model.target import Target
 from ..problem.problem import Problem
+from .exponent_search import with_best_exponents, with_exponents
 from .variable_projection import (
+    best_residual,
     projected_costs,
     refine_lights,
     sample_pixels,
@@ -65,6 +67,8 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
         )
     elif not _lights_apart(problem):
         raise InputError(f"start {start} does not know lights whose positions are tied")
+    # what the search leads to may be worse than the scene's own start, which then comes last
+    last = {"scene": [], "lights": [problem], "auto": problem_starts(problem, "scene")}[start]
     starts_of = starts_from_nothing if start == "auto" else starts_from_lights
     pictures = zip(problem.parameters, problem.targets, problem.settings, strict=True)
     if "light_position" not in problem.per_picture:
@@ -73,6 +77,7 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
     for start_scenes in zip(*scenes, strict=False):
         started = problem.starting_at(start_scenes)
         yield started.traced_at(started.start()) if problem.edges_move else started
+    yield from last
 
 
 def is_separable(problem: Problem) -> bool:
@@ -96,7 +101,8 @@ def _lights_apart(problem: Problem) -> bool:
     return not any(c is not None and c.tied for c in constraints)
 
 
-def _of_lights(parameters: Parameters) -> dict[str, Constraint]:
+def light_constraints(parameters: Parameters) -> dict[str, Constraint]:
+    """Returns the constraints of the lights' positions."""
     return {n: c for n, c in parameters.constraints.items() if n == "light_position"}
 
 
@@ -104,11 +110,14 @@ def starts_from_lights(
     parameters: Parameters, target: Target, settings: RenderSettings
 ) -> Iterator[Scene]:
     """Yields one scene to start from: the lights downhill from where they are in this scene."""
-    samples = sample_pixels(parameters, target, settings)
-    lights = parameters.scene.lights.position
-    if "light_position" in parameters.free:
-        lights = refine_lights(samples, lights, _of_lights(parameters))
-    yield scene_with(samples, parameters, lights)
+    found = []
+    for samples in with_exponents(sample_pixels(parameters, target, settings), parameters):
+        lights = parameters.scene.lights.position
+        if "light_position" in parameters.free:
+            lights = refine_lights(samples, lights, light_constraints(parameters))
+        found.append((float(jnp.sum(best_residual(samples, lights) ** 2)), samples, lights))
+    _, samples, lights = min(found, key=lambda of: of[0])
+    yield scene_with(with_best_exponents(samples, parameters, lights), parameters, lights)
 
 
 def starts_from_nothing(
@@ -122,19 +131,23 @@ def starts_from_nothing(
     if "light_position" not in parameters.free:
         yield from starts_from_lights(parameters, target, settings)
         return
-    scene, samples = parameters.scene, sample_pixels(parameters, target, settings)
+    scene = parameters.scene
     free = np.flatnonzero(parameters.free_numbers("light_position").any(axis=1)).tolist()
     middle, size = (np.asarray(x, np.float64) for x in bounding_sphere(scene))
     grid = np.concatenate(
         [middle + size * distance * _directions(_DIRECTIONS) for distance in _DISTANCES]
     )
     best = lambda terms, among, k: int(np.argmin(projected_costs(samples, terms, among, k)))
-    grid_terms, count = try_lights(samples, grid), len(scene.lights)
-    dark = jnp.zeros((count, *grid_terms.shape[1:]), grid_terms.dtype)
-    known = np.asarray(scene.lights.position, np.float64)
-    if len(free) < count:
-        dark = try_lights(samples, known).at[np.array(free)].set(0)
-    first = projected_costs(samples, dark, grid_terms, free[0])
+    count, known = len(scene.lights), np.asarray(scene.lights.position, np.float64)
+    tried = []
+    for samples in with_exponents(sample_pixels(parameters, target, settings), parameters):
+        grid_terms = try_lights(samples, grid)
+        dark = jnp.zeros((count, *grid_terms.shape[1:]), grid_terms.dtype)
+        if len(free) < count:
+            dark = try_lights(samples, known).at[np.array(free)].set(0)
+        first = projected_costs(samples, dark, grid_terms, free[0])
+        tried.append((float(first.min()), samples, grid_terms, dark, first))
+    _, samples, grid_terms, dark, first = min(tried, key=lambda of: of[0])
     for i in _spread(grid - middle, np.argsort(first))[:_STARTS]:
         lights, terms = known.copy(), dark.at[free[0]].set(grid_terms[i])
         lights[free] = grid[i]
@@ -148,8 +161,8 @@ def starts_from_nothing(
                 j = best(terms, near_terms, k)
                 lights[k], terms = near[j], terms.at[k].set(near_terms[j])
         lights = jnp.asarray(lights, scene.dtype)
-        refined = refine_lights(samples, lights, _of_lights(parameters))
-        yield scene_with(samples, parameters, refined)
+        refined = refine_lights(samples, lights, light_constraints(parameters))
+        yield scene_with(with_best_exponents(samples, parameters, refined), parameters, refined)
 
 
 def _directions(count: int) -> Float[np.ndarray, "count 3"]:

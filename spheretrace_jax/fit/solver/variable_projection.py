@@ -240,6 +240,15 @@ def scene_with(
     return eqx.tree_at(places, scene, [jnp.asarray(value, scene.dtype) for value in values])
 
 
+def best_residual(
+    sample: SampledPixels, lights: Float[Array, "lights 3"]
+) -> Float[Array, "pixels 3"]:
+    """Returns the residual of lights with the materials that suit them best, from the host."""
+    terms = try_lights(sample, np.asarray(lights))
+    sums, materials = sample.sums(terms), _materials(sample, terms)
+    return sample.weight * (linear_shading(materials[sample.sphere], sums) - sample.image)
+
+
 @compiled
 def _materials(sample: SampledPixels, terms: LightTerms) -> Materials:
     return sample.materials(sample.sums(terms))
