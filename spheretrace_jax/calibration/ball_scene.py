@@ -40,9 +40,7 @@ def ball_scene(
         ).as_orthographic(height * unit)
     else:
         cx, cy = intrinsics.principal_point - 0.5  # OpenCV counts from the first pixel's centre
-        camera = Camera.from_intrinsics(
-            intrinsics.focal, intrinsics.focal, cx, cy, width, height
-        )
+        camera = Camera.from_intrinsics(intrinsics.focal, intrinsics.focal, cx, cy, width, height)
     to_light = flip_frame(light.direction)
     color = np.maximum(light.color, 0)
     shown = np.where(color > 0, color, 1)

@@ -39,9 +39,9 @@ class LightsCommand(Compiling):
         arg(metavar="auto|MASK|X,Y,R", help="where the ball is: found, a picture that is white on "
             "the ball, or middle and radius in pixels from the left and top edge"),
     ] = "auto"  # fmt: skip
-    focal: Annotated[
-        float | None, arg(metavar="F", help="the camera's focal length in pixels")
-    ] = None
+    focal: Annotated[float | None, arg(metavar="F", help="the camera's focal length in pixels")] = (
+        None
+    )
     orthographic: Annotated[
         bool, FlagCreatePairsOff, arg(help="parallel rays, as of a very long lens")
     ] = False
@@ -53,9 +53,9 @@ class LightsCommand(Compiling):
     chrome: Annotated[
         bool, FlagCreatePairsOff, arg(help="the ball is a mirror: its bright spots are lights")
     ] = False
-    count: Annotated[
-        int | None, arg(metavar="N", help="how many lights a chrome ball shows")
-    ] = None
+    count: Annotated[int | None, arg(metavar="N", help="how many lights a chrome ball shows")] = (
+        None
+    )
     own_material: Annotated[
         bool, FlagCreatePairsOff, arg(help="each PHOTO shows a ball of its own material")
     ] = False
@@ -65,9 +65,9 @@ class LightsCommand(Compiling):
     brightest: Annotated[
         float | None, arg(metavar="X", help="numbers from this on are saturated: do not count")
     ] = None
-    darkest: Annotated[
-        float | None, arg(metavar="X", help="numbers up to this do not count")
-    ] = None
+    darkest: Annotated[float | None, arg(metavar="X", help="numbers up to this do not count")] = (
+        None
+    )
     albedo: Annotated[
         str | None, arg(metavar="R,G,B", help="the ball's own colour; colours are divided by it")
     ] = None
