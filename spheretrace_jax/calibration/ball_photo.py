@@ -69,9 +69,8 @@ class BallPhoto(eqx.Module):
 
     def shown(self, fit: LightFit) -> Float[np.ndarray, "height width 3"]:
         """Returns what a fit shows of all pixels of the ball; nan elsewhere."""
-        planes = (jnp.asarray(x.T, float) for x in (self.pixels.normals, self.pixels.views))
-        empty = jnp.zeros((3, len(self.pixels.normals)))
-        samples = BallSamples(*planes, empty, empty)
+        normals, views = (jnp.asarray(x.T, float) for x in (self.pixels.normals, self.pixels.views))
+        samples = BallSamples(normals, views, jnp.zeros_like(normals), jnp.zeros_like(normals))
         model = jax.tree.map(jnp.asarray, fit.model)
         terms = np.asarray(radiance_terms(jnp.asarray(fit.unknowns), samples, model), float)
         picture = np.full(self.picture.shape, np.nan)
@@ -96,11 +95,14 @@ class Exclusion(NamedTuple):
     darkest: Number | None = None  #: numbers up to here are too dark
 
 
+EVERYTHING_COUNTS = Exclusion()
+
+
 def ball_photo(
     name: str,
     picture: Float[np.ndarray, "height width 3"],
     outline: BallOutline,
-    exclusion: Exclusion = Exclusion(),
+    exclusion: Exclusion = EVERYTHING_COUNTS,
 ) -> BallPhoto:
     """Prepares a photograph. **Arguments:** `name`: for messages. `picture`: linear.
 
@@ -116,7 +118,7 @@ def ball_photo(
         counts &= ~saturated(picture, counts)
     else:
         counts &= ~from_level(picture, exclusion.brightest)
-    shown = counts.any(axis=2)
+    shown = np.asarray(counts.any(axis=2))
     found, ball = int(shown.sum()), int(pixels.mask.sum())
     if found < _LEAST:
         raise InputError(

@@ -200,8 +200,8 @@ def _solve(samples: BallSamples, lanes: Sequence[_Lane]) -> list[LightFit]:
     largest = float(np.finfo(np.asarray(samples.values).dtype).max)
     lower = np.where(held, start, np.maximum(LOWEST, -largest))
     upper = np.where(held, start, np.minimum(HIGHEST, largest))
-    models = jax.tree.map(lambda *x: jnp.stack(x), *(lane.model for lane in lanes))
-    start, lower, upper = (jnp.asarray(x, samples.values.dtype) for x in (start, lower, upper))
+    models = jax.tree.map(lambda *x: np.stack(x), *(lane.model for lane in lanes))
+    start, lower, upper = (x.astype(samples.values.dtype) for x in (start, lower, upper))
     fits = jax.tree.map(np.asarray, solve_lights(samples, models, start, lower, upper))
     return [jax.tree.map(lambda leaf, k=k: leaf[k], fits) for k in range(LANES)]
 

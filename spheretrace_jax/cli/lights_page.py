@@ -53,8 +53,8 @@ def write_page(path: Path, found: BallLights, step: Callable[[str], None]) -> No
         f"<!DOCTYPE html><html lang='en'><meta charset='utf-8'><title>Lights</title>"
         f"<meta name='viewport' content='width=device-width'><style>{_STYLE}</style>"
         f"<h1>Lights of {len(found)} photographs</h1>"
-        "<p>Directions from the ball's centre: x right, y up, z toward the viewer. The error is the "
-        "radius around a direction that holds the light with 95 %.</p>"
+        "<p>Directions from the ball's centre: x right, y up, z toward the viewer. The error is "
+        "the radius around a direction that holds the light with 95 %.</p>"
         f"<table><tr>{head}</tr>{''.join(rows)}</table>{''.join(figures)}</html>",
     )
 

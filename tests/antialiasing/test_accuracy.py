@@ -2,14 +2,17 @@
 
 from functools import cache
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.antialiasing import FLOOR, SIZE, SMALL, ambient_spheres, supersampled, with_window
 from helpers.derivatives import PARAMETERS, blurred, derivative, difference, off
-from helpers.scenes import FLAT, WHITE, nine_spheres, three_spheres
+from helpers.scenes import FLAT, SCENES, WHITE, nine_spheres, three_spheres
 
 import spheretrace_jax as st
+from spheretrace_jax.tracing.plain import plain_picture
 
 
 def test_picture_error():
@@ -19,6 +22,20 @@ def test_picture_error():
     one = off(st.render(scene.with_antialias(1), **SIZE), truth)
     assert one < 0.01
     assert one < point / 10
+
+
+@pytest.mark.parametrize("name", ["coated", "coated_aside"])
+def test_picture_error_of_coats(name):
+    # lit from the eye's side, and from behind, where the rim is most of what is lit
+    scene = SCENES["coated"]
+    if name == "coated_aside":
+        scene = eqx.tree_at(lambda s: s.lights.position, scene, jnp.array([[900.0, -200, 40]]))
+    size = dict(width=32, height=32, bounces=0)
+    truth = np.asarray(plain_picture(scene, 32, 32, bounces=0, samples=24))
+    point = off(st.render(scene, **size), truth)
+    one = off(st.render(scene.with_antialias(1), **size), truth)
+    assert one < 0.02
+    assert one < point / 5
 
 
 @pytest.mark.slow

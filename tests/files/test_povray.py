@@ -140,6 +140,7 @@ def test_exponent_0_is_a_constant_highlight():
         ({"kt": 0.5, "kgr": 0.5}, "do not count as bounces"),
         ({"radius": 100.0, "kt": 0.5}, "far walls"),
         ({"radius": 1e-3}, "nearer than"),
+        ({"ior": 1.5}, "POV-Ray has no coats"),
     ],
 )
 def test_what_is_not_exact_is_said_first(options, what):

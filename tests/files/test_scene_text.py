@@ -526,6 +526,7 @@ def any_scene(draw, dtype: type, pictures: list[st.Texture]) -> st.Scene:
         *material(n),
         numbers(0, 1, n),
         draw(some.lists(some.integers(0, len(textures)), min_size=n, max_size=n)),
+        numbers(1, most, n),
     )
     checkered = draw(arrays(bool, p))
     normals = numbers(-most, most, p, 3)
@@ -537,6 +538,7 @@ def any_scene(draw, dtype: type, pictures: list[st.Texture]) -> st.Scene:
         *material(p),
         checker_color=np.where(checkered[:, None], numbers(0, 1, p, 3), dtype(0)),
         checker_size=np.where(checkered, numbers(least, most, p), dtype(0)),
+        ior=draw(some.sampled_from([np.ones(p, dtype), numbers(1, most, p)])),
     )
     sky = draw(some.none() | some.sampled_from(pictures))
     back = numbers(0, 1, 5)

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import SCENES, nine_spheres, three_spheres
@@ -14,6 +15,14 @@ from spheretrace_jax.fit.problem.problem import normal_at
 SHADOWED = (100.0, 900, 300)
 SIZE = 24
 
+
+def coated(scene: st.Scene) -> st.Scene:
+    """Returns the scene with coats, other ones on each sphere."""
+    at = lambda s: (s.spheres.ior, s.planes.ior)
+    values = jnp.linspace(1.2, 1.8, len(scene.spheres)), jnp.full(len(scene.planes), 1.4)
+    return eqx.tree_at(at, scene, values)
+
+
 CASES = {
     "one ray": (nine_spheres(SHADOWED), ("color", "ka", "kd", "ks", "light_position"), {}),
     "four rays, mirrors": (
@@ -23,6 +32,12 @@ CASES = {
     ),
     "planes, checkers": (SCENES["planes"], ("ks", "kd", "light_position"), dict(bounces=2)),
     "textures, a sky": (SCENES["textures"], ("color", "kd"), dict(bounces=1)),
+    "coats": (
+        coated(SCENES["two_coloured_lights"]),
+        ("color", "exponent", "ior", "light_position", "light_color"),
+        {},
+    ),
+    "coats in mirrors": (coated(SCENES["planes"]), ("ior", "ks", "kgr"), dict(bounces=1)),
 }
 EDGES = {
     "covered edges": (nine_spheres(SHADOWED), ("color", "ks", "light_position"), {}),
@@ -30,6 +45,11 @@ EDGES = {
         nine_spheres(SHADOWED),
         ("color", "kd", "exponent", "kgr", "light_position", "light_color", "exposure"),
         dict(bounces=3),
+    ),
+    "covered edges of coats": (
+        coated(SCENES["two_coloured_lights"]),
+        ("exponent", "ior", "light_position"),
+        {},
     ),
     "covered edges of bubbles": (
         SCENES["glass"],
@@ -56,8 +76,9 @@ def check(scene, free, settings):
     np.testing.assert_allclose(expected.pictures[0], picture, atol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [n if n == "coats" else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
+)
 def test_same_as_traced_pixels(name):
     check(*CASES[name])
 

@@ -29,8 +29,8 @@ def test_one_number_or_colour_holds_for_all_spheres():
 def test_the_leaves_of_objects_are_in_the_order_of_the_scene_file():
     material = ("color", "ka", "kd", "ks", "exponent", "kgr")
     for objects, names in (
-        (st.Spheres([[0.0, 0, 0]], [1.0]), ("center", "radius", *material, "kt")),
-        (st.Planes(), ("point", "normal", *material, "checker_color", "checker_size")),
+        (st.Spheres([[0.0, 0, 0]], [1.0]), ("center", "radius", *material, "kt", "ior")),
+        (st.Planes(), ("point", "normal", *material, "ior", "checker_color", "checker_size")),
     ):
         paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(objects)[0]]
         assert [jax.tree_util.keystr(path).lstrip(".") for path in paths] == list(names)

@@ -55,7 +55,12 @@ def null_sphere_columns(evidence: Evidence) -> Iterator[tuple[str, np.ndarray]]:
         elif not shows("ks"):
             reasons.append((f"no highlight is seen on {sphere}", ("ks", "exponent")))
         if _zero(spheres.ior - 1)[i]:
-            reasons.append((f"{sphere} has ior 1, near which it hardly shows", ("ior",)))
+            reasons.append(
+                (
+                    f"{sphere} has ior 1 (no coat), of which pictures change only to second order",
+                    ("ior",),
+                )
+            )
         reasons.append((f"what is seen of {sphere} does not depend on it", names))
         for why, of_reason in reasons:
             taken = {n: left.pop(n) for n in of_reason if n in left}
