@@ -57,7 +57,9 @@ class BallSamples(eqx.Module):
 class LightModel(eqx.Module):
     """Which light is sought, and by which model: numbers, so that one program serves all."""
 
-    axes: Float[Array | np.ndarray, "3 3"]  #: rows: the direction at turn 0, and two unit vectors across it
+    axes: Float[
+        Array | np.ndarray, "3 3"
+    ]  #: rows: the direction at turn 0, and two unit vectors across it
     lobe: Int[Array | np.ndarray, ""]  #: of `LOBES`
     falloff: Bool[Array | np.ndarray, ""]  #: whether light falls off by the inverse-square law
     weighting: Int[Array | np.ndarray, ""]  #: of `WEIGHTINGS`
@@ -94,13 +96,13 @@ def radiance_terms(
     ior = jnp.full_like(nearness, COAT_IOR)
     to_light = light_direction(unknowns, model)[:, None] - nearness * N
     square = jnp.sum(to_light**2, axis=0)  # above 0: the light is outside of the ball
-    L = to_light / jnp.sqrt(square)
+    L = to_light / jnp.sqrt(square)[None]
     cosine, view = jnp.sum(N * L, axis=0), jnp.maximum(jnp.sum(N * V, axis=0), _GRAZING)
     lit = cosine > 0
     cosine = jnp.where(lit, cosine, 1)
     fall = jnp.where(lit, jnp.where(model.falloff, 1 / square, 1), 0)
     H = L + V
-    H = H / jnp.sqrt(jnp.maximum(jnp.sum(H**2, axis=0), _GRAZING**2))
+    H = H / jnp.sqrt(jnp.maximum(jnp.sum(H**2, axis=0), _GRAZING**2))[None]
     mirrored = 2 * cosine * view - jnp.sum(L * V, axis=0)
     cosines = mirrored, jnp.sum(N * H, axis=0), jnp.sum(V * H, axis=0)
     # at most 1 also where unlit: large powers of more would be infinite, and 0 times that is nan
@@ -112,7 +114,9 @@ def radiance_terms(
     microfacets = fresnel(turned, ior) * _smith(cosine, exponent) * _smith(view, exponent) / view
     highlight = jnp.stack([lobes[0], lobes[1], lobes[2] * microfacets, lobes[3] * microfacets])
     diffuse = cosine * (passes + back)
-    return jnp.stack([fall * diffuse, fall * highlight[model.lobe], jnp.ones_like(view)])
+    return jnp.stack(
+        [fall * diffuse, fall * highlight[jnp.asarray(model.lobe)], jnp.ones_like(view)]
+    )
 
 
 def _lobes(
@@ -151,4 +155,4 @@ def residual_weights(samples: BallSamples, model: LightModel) -> Float[Array, "3
     variances = jnp.stack(
         [5e-4 + 0.05 * value, jnp.full_like(value, 0.02), 1.5 * (0.01 + 0.13 * value) ** 2]
     )
-    return samples.counts / jnp.sqrt(variances[model.weighting])
+    return samples.counts / jnp.sqrt(variances[jnp.asarray(model.weighting)])

@@ -46,12 +46,13 @@ _CHOICES = np.array(list(itertools.product([0, 1], repeat=3)))
 class LightFit(eqx.Module):
     """A light that was found, and how the ball looks; with an axis in front for several fits."""
 
-    unknowns: Float[Array, " 6"]
+    unknowns: Float[Array | np.ndarray, " 6"]
     model: LightModel
-    amplitudes: Float[Array, "3 3"]  #: rows: red, green, blue; columns: diffuse, highlight, ambient
-    cost: Float[Array, ""]  #: half the sum of the squared weighted residuals
-    direction: Float[Array, " 3"]  #: unit vector to the light, in the camera's frame
-    steps: Int[Array, ""]
+    #: rows: red, green, blue; columns: diffuse, highlight, ambient
+    amplitudes: Float[Array | np.ndarray, "3 3"]
+    cost: Float[Array | np.ndarray, ""]  #: half the sum of the squared weighted residuals
+    direction: Float[Array | np.ndarray, " 3"]  #: unit vector to the light, in the camera's frame
+    steps: Int[Array | np.ndarray, ""]
 
 
 class WeightedRows(eqx.Module):
@@ -82,17 +83,12 @@ def solve_lights(
         solver = BoundedLevenbergMarquardt(_RTOL, _ATOL, lower, upper)
         args = samples, model
         found = optx.least_squares(
-            _compressed, solver, start, args=args, max_steps=_STEPS, throw=False
+            _compressed, solver, start, args=args, has_aux=True, max_steps=_STEPS, throw=False
         )
-        rows = _rows(found.value, samples, model, jacobian=False)
-        return LightFit(
-            found.value,
-            model,
-            rows.amplitudes,
-            jnp.sum(rows.residual**2) / 2,
-            light_direction(found.value, model),
-            found.stats["num_steps"],
-        )
+        amplitudes, cost = found.aux
+        direction = light_direction(found.value, model)
+        steps = found.stats["num_steps"]
+        return LightFit(found.value, model, amplitudes, cost, direction, steps)
 
     return jax.vmap(solve_one)(models, start, lower, upper)
 
@@ -103,9 +99,7 @@ def rows_at(fit: LightFit, samples: BallSamples) -> WeightedRows:
     return _rows(fit.unknowns, samples, fit.model)
 
 
-def _rows(
-    unknowns: Float[Array, " 6"], samples: BallSamples, model: LightModel, jacobian: bool = True
-) -> WeightedRows:
+def _rows(unknowns: Float[Array, " 6"], samples: BallSamples, model: LightModel) -> WeightedRows:
     weights = residual_weights(samples, model)
     terms_at = lambda unknowns: radiance_terms(unknowns, samples, model)
     terms, push = jax.linearize(terms_at, unknowns)
@@ -114,11 +108,8 @@ def _rows(
     gram = jnp.einsum("ckp,clp->ckl", weighted, weighted)
     amplitudes = jax.vmap(_amplitudes)(gram, jnp.einsum("ckp,cp->ck", weighted, values))
     residual = jnp.einsum("ck,ckp->cp", amplitudes, weighted) - values
-    if jacobian:
-        slopes = jax.vmap(push)(jnp.eye(unknowns.size, dtype=unknowns.dtype))
-        columns = jnp.einsum("ck,ikp->icp", amplitudes, slopes) * weights
-    else:
-        columns = jnp.zeros((unknowns.size, *residual.shape), residual.dtype)
+    slopes = jax.vmap(push)(jnp.eye(unknowns.size, dtype=unknowns.dtype))
+    columns = jnp.einsum("ck,ikp->icp", amplitudes, slopes) * weights[None]
     return WeightedRows(residual, columns, weighted, amplitudes, gram)
 
 
@@ -126,12 +117,12 @@ def _amplitudes(gram: Float[Array, "3 3"], right: Float[Array, " 3"]) -> Float[A
     """Solves for amplitudes of at least 0: the best of all choices of terms (least squares)."""
     size = jnp.sqrt(jnp.diag(gram))
     size = jnp.where(size > 0, size, 1)
-    gram = gram / size[:, None] / size + _RIDGE * jnp.eye(3, dtype=gram.dtype)
+    gram = gram / size[:, None] / size[None] + _RIDGE * jnp.eye(3, dtype=gram.dtype)
     right = right / size
     chosen = jnp.asarray(_CHOICES, gram.dtype)
     left_out = jax.vmap(jnp.diag)(1 - chosen)
     matrices = gram[None] * chosen[:, :, None] * chosen[:, None, :] + left_out
-    found = _solve_three(matrices, (chosen * right)[..., None])[..., 0] * chosen
+    found = _solve_three(matrices, (chosen * right[None])[..., None])[..., 0] * chosen
     cost = jnp.einsum("si,ij,sj->s", found, gram, found) - 2 * found @ right
     allowed = jnp.all(found >= 0, axis=1)
     return found[jnp.argmin(jnp.where(allowed, cost, jnp.inf))] / size
@@ -140,10 +131,7 @@ def _amplitudes(gram: Float[Array, "3 3"], right: Float[Array, " 3"]) -> Float[A
 def _solve_three(
     matrix: Float[Array, "*batch 3 3"], right: Float[Array, "*batch 3 columns"]
 ) -> Float[Array, "*batch 3 columns"]:
-    """Solves three equations by Cholesky's decomposition, written out.
-
-    As calls of LAPACK the two systems took a third of the time in which all of this compiles.
-    """
+    """Solves three equations by Cholesky's decomposition, written out: no calls to LAPACK."""
     a = lambda i, j: matrix[..., i, j]
     root = lambda x: jnp.sqrt(jnp.maximum(x, _RIDGE / 4))
     d0 = root(a(0, 0))
@@ -162,38 +150,45 @@ def _solve_three(
     return jnp.stack([x0, x1, x2], axis=-2)
 
 
+Compressed = tuple[Float[Array, " 7"], tuple[Float[Array, "3 3"], Float[Array, ""]]]
+
+
 @jax.custom_jvp
-def _compressed(
-    unknowns: Float[Array, " 6"], args: tuple[BallSamples, LightModel]
-) -> Float[Array, " 7"]:
-    """Returns seven numbers with the cost, gradient and J^T J of all residuals."""
-    return compress(_normal(unknowns, *args), np.dtype(unknowns.dtype))[0]
+def _compressed(unknowns: Float[Array, " 6"], args: tuple[BallSamples, LightModel]) -> Compressed:
+    """Returns seven numbers with the cost, gradient and J^T J of all residuals.
+
+    And, beside them and without derivatives, the amplitudes and the cost.
+    """
+    normal, amplitudes = _normal(unknowns, *args)
+    return compress(normal, np.dtype(unknowns.dtype))[0], (amplitudes, normal.cost)
 
 
 @_compressed.defjvp
 def _compressed_jvp(primals, tangents):
-    normal = _normal(primals[0], *primals[1])
+    normal, amplitudes = _normal(primals[0], *primals[1])
     residual, jacobian = compress(normal, np.dtype(primals[0].dtype))
-    return residual, jacobian @ tangents[0]
+    still = jnp.zeros_like(amplitudes), jnp.zeros_like(normal.cost)
+    return (residual, (amplitudes, normal.cost)), (jacobian @ tangents[0], still)
 
 
 def _normal(
     unknowns: Float[Array, " 6"], samples: BallSamples, model: LightModel
-) -> NormalEquations:
-    """Returns the normal equations of the six unknowns, with the amplitudes eliminated.
+) -> tuple[NormalEquations, Float[Array, "3 3"]]:
+    """Returns the normal equations of the six unknowns without the amplitudes, and these.
 
     The Schur complement of the amplitudes' columns: Kaufman, "A Variable Projection Method for
     Solving Separable Nonlinear Least Squares Problems", BIT 15 (1975).
     """
     rows = _rows(unknowns, samples, model)
     present = (rows.amplitudes > 0).astype(unknowns.dtype)
-    mixed = jnp.einsum("icp,ckp->ick", rows.columns, rows.terms) * present
+    mixed = jnp.einsum("icp,ckp->ick", rows.columns, rows.terms) * present[None]
     absent = jax.vmap(jnp.diag)(1 - present)
     gram = rows.gram * present[:, :, None] * present[:, None, :] + absent
     size = jnp.sqrt(jax.vmap(jnp.diag)(gram))
-    gram = gram / size[:, :, None] / size[:, None, :] + _RIDGE * jnp.eye(3, dtype=gram.dtype)
-    mixed = mixed / size
+    gram = gram / size[:, :, None] / size[:, None, :] + _RIDGE * jnp.eye(3, dtype=gram.dtype)[None]
+    mixed = mixed / size[None]
     solved = _solve_three(gram, jnp.moveaxis(mixed, 0, -1))
     flat = rows.columns.reshape(unknowns.size, -1)
     square = flat @ flat.T - jnp.einsum("ick,ckj->ij", mixed, solved)
-    return NormalEquations(square, flat @ rows.residual.reshape(-1), jnp.sum(rows.residual**2) / 2)
+    gradient, cost = flat @ rows.residual.reshape(-1), jnp.sum(rows.residual**2) / 2
+    return NormalEquations(square, gradient, cost), rows.amplitudes

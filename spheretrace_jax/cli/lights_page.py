@@ -92,8 +92,10 @@ def _drawn(found: BallLights, k: int) -> str:
     middle = light.outline.center
     axes[0].plot(*np.stack([middle, middle + toward]).T, color="tab:cyan", linewidth=1)
     axes[0].plot(*(middle + toward), "o", color="tab:cyan", markersize=4)
-    residual = np.nanmean(np.where(photo.counts, shown - photo.picture, np.nan), axis=2) * scale
-    limit = max(float(np.nanmax(np.abs(residual))), 1e-12)
+    counts = photo.counts.any(axis=2)
+    difference = np.where(photo.counts, shown - photo.picture, 0).sum(axis=2) * scale
+    residual = np.where(counts, difference / np.maximum(photo.counts.sum(axis=2), 1), np.nan)
+    limit = max(float(np.abs(residual[counts]).max()), 1e-12)
     image = axes[2].imshow(
         residual, cmap="RdBu", vmin=-limit, vmax=limit, extent=(0, width, height, 0)
     )
