@@ -94,19 +94,11 @@ def test_a_layer_of_the_target_is_named():
 
 
 def test_the_tolerance_decides_the_exit_status():
-    words = (
-        "fit",
-        "scene.txt",
-        "views.exr",
-        "-o",
-        "fitted.txt",
-        "--free",
-        "kd",
-        "--tolerance",
-        "1",
-    )
-    status, out, _ = spheretrace(*words)
-    assert status == 0 and ("converged, usable: " in out or "converged, good: " in out), out
+    picture = np.asarray(st.render(st.load_scene("scene.txt"), width=32, height=24))
+    st.write_image("wrong.exr", picture * np.linspace(0.9, 1.1, 32)[None, :, None])
+    words = ("fit", "scene.txt", "wrong.exr", "-o", "fitted.txt", "--free", "kd", "--tolerance")
+    status, out, _ = spheretrace(*words, "0.5")
+    assert status == 0 and "converged, good: explains 99." in out
     status, out, _ = spheretrace(*words, "0.002")
     assert status == 1 and "does NOT explain picture" in out
     status, _, err = spheretrace(*words, "0")
