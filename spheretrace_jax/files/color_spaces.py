@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..base.srgb import code_srgb as code_srgb, srgb as srgb
+
 Curve = Callable[[np.ndarray], np.ndarray]
 Matrix = Float[np.ndarray, "3 3"]
 
@@ -55,16 +57,6 @@ VIDEO_PRIMARIES: dict[int, tuple[float, ...]] = {
 def linear(x: np.ndarray) -> np.ndarray:
     """Returns numbers that are linear already."""
     return x
-
-
-def srgb(x: np.ndarray) -> np.ndarray:
-    """Decodes sRGB to linear numbers."""
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4)
-
-
-def code_srgb(x: np.ndarray) -> np.ndarray:
-    """Codes linear numbers as sRGB."""
-    return np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 0) ** (1 / 2.4) - 0.055)
 
 
 def rec709(x: np.ndarray) -> np.ndarray:

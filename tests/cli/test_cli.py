@@ -514,6 +514,7 @@ HELP = {
         *("SCENE", "TARGET", "-o FITTED.txt", "--free NAMES", "color, ka, kd, ks, exponent"),
         *("light_position", "--highlight {phong,blinn}", "--max-steps N", "--report DIR"),
         *("cost curve", "--dtype", "when it is interrupted", "Exit status 1", "--cache DIR"),
+        *("--noise X|photo", "--tolerance X", "not to be used"),
     ],
     "check": ["SCENE", "--size WxH", "--free NAMES", "the worst pixels and why"],
     "info": ["SCENE", "what is left out and why"],

@@ -93,6 +93,27 @@ def test_a_layer_of_the_target_is_named():
     assert (status, err) == (2, f"spheretrace: {said}\n")
 
 
+def test_the_tolerance_decides_the_exit_status():
+    picture = np.asarray(st.render(st.load_scene("scene.txt"), width=32, height=24))
+    st.write_image("wrong.exr", picture * np.linspace(0.9, 1.1, 32)[None, :, None])
+    words = ("fit", "scene.txt", "wrong.exr", "-o", "fitted.txt", "--free", "kd", "--tolerance")
+    status, out, _ = spheretrace(*words, "0.5")
+    assert status == 0 and "converged, good: explains 99." in out
+    status, out, _ = spheretrace(*words, "0.002")
+    assert status == 1 and "does NOT explain picture" in out
+    status, _, err = spheretrace(*words, "0")
+    assert status == 2 and "tolerance must be above 0 and at most 1, got 0" in err
+
+
+def test_noise_is_a_number_or_photo():
+    words = ("fit", "scene.txt", "rgb.png", "-o", "fitted.txt", "--free", "kd", "--noise")
+    status, out, err = spheretrace(*words, "film")
+    said = "spheretrace: --noise must be a number or photo, got film\n"
+    assert (status, out, err) == (2, "", said)
+    status, out, err = spheretrace(*words, "photo")
+    assert err == "" and "noise of variance " in out
+
+
 SMALLER = ("fit", "scene.txt", "rgb.png", "-o", "fitted.txt", "--free", "kd", "--samples", "2")
 
 

@@ -71,7 +71,11 @@ def jackknife(found, square=None) -> BlockJackknife:
     held = np.asarray(found.problem.at_bounds(found.values))
     square = square_of_free(spectrum, held) * np.outer(spectrum.scale, spectrum.scale)
     return BlockJackknife(
-        found.problem, found.values, square, objects_at(found.problem, found.values)
+        found.problem,
+        found.values,
+        square,
+        objects_at(found.problem, found.values),
+        found.uncertainty.step,
     )
 
 

@@ -5,7 +5,7 @@ import pytest
 from helpers.wrong_models import START, TRUTH, ambient_gradient, drawn
 
 import spheretrace_jax as st
-from spheretrace_jax.files.color_spaces import code_srgb, srgb
+from spheretrace_jax.base.srgb import code_srgb, srgb
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,12 @@ def test_an_outlier_is():
     assert abs(found.row - 4) <= 1 and abs(found.column - 7) <= 1
 
 
+def test_of_black_nothing_is_explained_in_part():
+    shape = 0.05 * np.ones((30, 30, 3))
+    assert of(shape, shape).unexplained == 1  # the target is black, the picture is not
+    assert of(1e-9 * shape, 1e-9 * shape).explains
+
+
 @pytest.mark.parametrize(
     ("row", "column", "words"),
     [

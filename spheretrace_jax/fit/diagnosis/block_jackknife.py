@@ -69,12 +69,15 @@ class BlockJackknife:
         values: PyTree,
         square: Float[np.ndarray, "free free"],
         objects: Sequence[Int[np.ndarray, "height width"]],
+        left: Float[np.ndarray, " free"],
     ):
         """Sums the blocks' equations, by the program of the fit's steps.
 
         **Arguments:** `square`: J^T J in the determined directions, 0 in others and where bounds
-        hold, with priors. `objects`: of each picture which object its pixels show.
+        hold, with priors. `objects`: of each picture which object its pixels show. `left`: the step
+        that the solver did not take, after which the blocks are compared.
         """
+        self._left = left
         # the pictures' residuals only: priors are knowledge that no block has
         self._problem, self._values = problem.without_priors(), values
         scale = np.sqrt(np.diag(square))
@@ -87,7 +90,7 @@ class BlockJackknife:
         self._numbers = [block_numbers(np.asarray(t.counts), o) for t, o in pairs]
         self.blocks = [self._sums([n == b for n in self._numbers]) for b in range(_BLOCKS)]
         known = self.unwhiten.shape[1]
-        #: at the solution, where the gradient is 0 but for the solver's tolerance; with priors
+        #: with priors, after the step that is left
         self.whole = NormalSums(np.eye(known), np.zeros(known))
 
     def _sums(self, weights: Sequence[np.ndarray]) -> NormalSums:
@@ -99,7 +102,7 @@ class BlockJackknife:
         normal = normal_at(part, self._values)
         square, gradient = (np.asarray(x, np.float64) for x in (normal.square, normal.gradient))
         to = self.unwhiten
-        return NormalSums(to.T @ square @ to, to.T @ gradient)
+        return NormalSums(to.T @ square @ to, to.T @ (gradient + square @ self._left))
 
     def excess(self, noise: float) -> float:
         """Returns how much more blocks pull than white noise would, in its standard deviations.

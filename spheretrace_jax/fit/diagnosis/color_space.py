@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from ...files.color_spaces import code_srgb, srgb
+from ...base.srgb import code_srgb, srgb
 from ..problem.problem import Problem
 from ..solver.light_search import is_separable, light_constraints
 from ..solver.variable_projection import SampledPixels, best_residual, refine_lights, sample_pixels

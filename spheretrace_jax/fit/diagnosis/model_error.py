@@ -34,7 +34,7 @@ def with_model_error(uncertainty: Uncertainty, normal: NormalEquations) -> Uncer
     held = np.asarray(problem.at_bounds(values))
     square = square_of_free(spectrum, held) * np.outer(spectrum.scale, spectrum.scale)
     objects = objects_at(problem, values)
-    blocks = BlockJackknife(problem, values, square, objects)
+    blocks = BlockJackknife(problem, values, square, objects, uncertainty.step)
     exposures = [exposure for _, exposure in problem.scenes_at(values)]
     pictures = list(zip(problem.targets, normal.pictures, exposures, strict=True))
     shared = any(structure(*picture).shared for picture in pictures)

@@ -81,14 +81,18 @@ def structure(target: Target, picture: Picture, exposure: Float[Array, " 3"]) ->
     # black numbers that are drawn black are no example of how well others fit
     shows = counts & ((np.asarray(target.image) != 0) | (residual != 0))
     square = residual[shows if shows.any() else counts] ** 2
-    limit = np.inf if robust else _OUTLYING**2 * SIGMA_OF_MEDIAN**2 * np.median(square)
-    outliers = np.where(square > limit, square, 0)
+    outlying = np.inf if robust else _OUTLYING**2 * SIGMA_OF_MEDIAN**2 * np.median(square)
+    outliers = np.where(square > outlying, square, 0)
     structured = max(share, 0) * np.sum(square - outliers) + np.sum(outliers)
     smooth = _smooth_power(residual)
     row, column = np.unravel_index(smooth.argmax(), smooth.shape)
+    limit = _UNEXPLAINED_8_BIT if has_8_bits(np.asarray(target.image)) else _UNEXPLAINED
+    unexplained = float(np.sqrt(structured / np.count_nonzero(counts)) / scale_of(target))
+    if not target.rms and unexplained > limit:  # of black nothing is explained in part
+        unexplained = 1.0
     return Structure(
-        min(float(np.sqrt(structured / np.count_nonzero(counts)) / scale_of(target)), 1.0),
-        _UNEXPLAINED_8_BIT if has_8_bits(np.asarray(target.image)) else _UNEXPLAINED,
+        min(unexplained, 1.0),
+        limit,
         bool(share > 0),
         int(row),
         int(column),

@@ -153,7 +153,7 @@ def _grade(unexplained: float, exact: bool, tolerance: float) -> Grade:
         return "exact"
     if unexplained <= _GOOD * tolerance:
         return "good"
-    return "usable" if unexplained <= tolerance else "not to be used"
+    return "usable" if unexplained <= tolerance and unexplained < 1 else "not to be used"
 
 
 def _explains_nothing(fit) -> bool:

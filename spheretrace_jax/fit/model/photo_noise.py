@@ -54,9 +54,9 @@ def estimate_photo_noise(
 
     **Raises:** `PictureError` if too few numbers have neighbours that count.
     """
-    level, difference, inside = _shifted(image, counts)
     mean = image[counts].mean() if counts.any() else 0.0
-    inside &= level > _DARK * mean
+    # with no black neighbours either: outlines in front of black are no noise
+    level, difference, inside = _shifted(image, counts & (image > _DARK * mean))
     level, size = level[inside], np.abs(difference[inside]) / 6
     if level.size < _LEAST:
         raise PictureError(

@@ -53,5 +53,5 @@ def _searched(parameters: Parameters) -> bool:
 
 
 def _with(sample: SampledPixels, exponents: np.ndarray) -> SampledPixels:
-    exponents = jnp.asarray(exponents, sample.scene.dtype)
-    return eqx.tree_at(lambda s: s.scene.spheres.exponent, sample, exponents)
+    changed = jnp.asarray(exponents, sample.scene.dtype)
+    return eqx.tree_at(lambda s: s.scene.spheres.exponent, sample, changed)
