@@ -18,12 +18,13 @@ from ..base.safe_math import clamp, larger, smaller
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, split, where, zeros
 from ..scene.camera import Ray, unit_ray
+from ..scene.light import Light
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.hit import Hit, Surface
 from ..tracing.material import background_color, local_color, sum_lights
 from ..tracing.path import Path, first_path, next_path, trace_path
-from ..tracing.shading import HIGHLIGHTS, lambert, power, toward_light
+from ..tracing.shading import HIGHLIGHTS, lambert, power
 from ..tracing.surface import mean_surface_at
 from ..xla.barriers import barrier
 from ..xla.compaction import add_where
@@ -239,7 +240,7 @@ def secondary_path(
 def layer_light_terms(
     context: TraceContext,
     layer: VisibleLayer,
-    light: Vec,
+    light: Light,
     shadows: bool,
     exponent: PixelArray | None = None,
 ) -> tuple[PixelArray, PixelArray]:
@@ -252,14 +253,14 @@ def layer_light_terms(
     """
     ray, hit, surface, distance = layer.ray.value, layer.hit, layer.surface, layer.distance
     highlight = HIGHLIGHTS[context.settings.highlight]
-    to_light = toward_light(surface, light)
+    to_light = light.direction(surface.point)
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
     if shadows:
         part = part * lit_coverage(context, layer.ray, distance.extent, layer.polygon, hit, light)
     diffuse = _mean_lambert(context, layer, cosine, to_light) * part
     if not context.needs.highlights:
-        return diffuse, jnp.zeros_like(diffuse)
+        return light.faded(surface.point, diffuse), jnp.zeros_like(diffuse)
 
     def front_area() -> PixelArray:
         f = layer.ray.paired_with(distance.q).map(
@@ -273,15 +274,16 @@ def layer_light_terms(
     if exponent is None:
         exponent = context.material(hit.id, lambda m: m.exponent)
     shine = power(highlight.cosine(surface, to_light, ray.direction), exponent)
-    return diffuse, shine * part
+    faded = partial(light.faded, surface.point)
+    return faded(diffuse), faded(shine * part)
 
 
 def _cosine_at(
-    context: TraceContext, ray: Ray, q: Vec, layer: VisibleLayer, light: Vec
+    context: TraceContext, ray: Ray, q: Vec, layer: VisibleLayer, light: Light
 ) -> PixelArray:
     """Returns N.L of the mean surface that another ray of the pixel sees."""
     surface = mean_surface_at(context, ray, q, layer.hit, layer.distance.extent)
-    return lambert(surface, toward_light(surface, light))
+    return lambert(surface, light.direction(surface.point))
 
 
 def _mean_lambert(

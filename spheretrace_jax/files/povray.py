@@ -36,6 +36,8 @@ _Number = float | np.floating
 # opacity, and `_spheres` divides by it, so it must not be 0. A power of 2: colours are in float32.
 _LEAST_OPACITY = 2.0**-14
 _FARTHEST, _NEAREST = 1e7, 1e-3  # POV-Ray's MAX_DISTANCE and SHADOW_TOLERANCE
+_PARALLEL = 1e2  # how far outside of the scene, in its sizes, directional lights are put
+_FADING = 2.0**-16  # D of a light that fades, as a part of its fall-off; see `_lights`
 
 _WRAPPED = """
 // A bitmap around a sphere at the origin, times a colour. POV-Ray would blend the picture's first
@@ -101,14 +103,38 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
         *_camera(scene.camera),
         *_background(scene),
     ]
-    for position, color in _rows(scene.lights.position, scene.lights.color):
-        lines.append(f"light_source {{ {_vector(position)} rgb {_vector(color)} }}")
+    lines += _lights(scene)
     for k in sorted(set(scene.spheres.pic) - {0}):
         lines.append(declared_image(f"Image{k}", scene.textures[k - 1]))
     lines += _spheres(scene, eye, highlight)
     lines += _planes(scene.planes, highlight)
     lines += _back_plane(scene)
     return "\n".join(lines) + "\n"
+
+
+def _lights(scene: Scene) -> list[str]:
+    """Returns the lights, a line each.
+
+    POV-Ray's `parallel` light shines from its location towards `point_at` along one direction
+    everywhere, but what lies beyond the plane through its location, across that direction, casts
+    and receives no shadow. It is put far outside of the spheres. A fall-off is POV-Ray's factor
+    2 / (1 + (r / D)^2), where D is so small that the 1 is lost among rounding errors.
+    """
+    s, lights, lines = scene.spheres, scene.lights, []
+    reach = np.linalg.norm(np.asarray(s.center, np.float64), axis=1) + np.asarray(s.radius)
+    far = min(_PARALLEL * max(reach.max(initial=0), float(scene.camera.mu), 1), _FARTHEST / 10)
+    rows = _rows(lights.position, lights.color, lights.falloff)
+    for (position, color, falloff), directional in zip(rows, lights.directional, strict=True):
+        place, kind = position, ""
+        if falloff and not directional:
+            color = color.astype(np.float64) / (2 * _FADING**2)
+            kind = f" fade_distance {_number(falloff * _FADING)} fade_power 2"
+        if directional:
+            direction = position.astype(np.float64) / np.abs(position).max()
+            place = far * direction / np.linalg.norm(direction)
+            kind = " parallel point_at <0, 0, 0>"
+        lines.append(f"light_source {{ {_vector(place)} rgb {_vector(color)}{kind} }}")
+    return lines
 
 
 def _number(x: _Number) -> str:
@@ -140,6 +166,9 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
     from_eye = np.linalg.norm(np.asarray(scene.spheres.center) - eye, axis=1) - radius
     mirrors = bool(np.any(np.asarray(tables.materials.kgr) > 0))
     inexact = {
+        "planes cast and receive no directional light's shadow far outside of the spheres": (
+            tables.plane_count > 0 and any(scene.lights.directional)
+        ),
         "POV-Ray has its own antialiasing, +A": scene.antialias,
         f"kt counts as at most {1 - _LEAST_OPACITY}": (kt > 1 - _LEAST_OPACITY).any(),
         "rays that go straight through a sphere do not count as bounces": (

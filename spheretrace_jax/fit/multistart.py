@@ -7,6 +7,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import PyTree
 
+from ..scene.parameters import LIGHT_PLACES
 from .diagnosis.outliers import find_outliers, resting_on_outliers
 from .diagnosis.trust import explains
 from .problem.problem import Problem
@@ -107,7 +108,9 @@ def _may_jump(found: Found, noise_given: bool) -> bool:
     """Tells whether edges of shadows may hold lights: those of single rays have no derivative."""
     shadows = any(s.needs.shadows and not s.antialias for s in found.problem.settings)
     noise_known = not _estimates_noise(found.problem, noise_given)
-    return shadows and noise_known and found.converged and "light_position" in found.values
+    return (
+        shadows and noise_known and found.converged and bool(set(LIGHT_PLACES) & set(found.values))
+    )
 
 
 def _rests_on_outliers(found: Found, noise_given: bool) -> bool:

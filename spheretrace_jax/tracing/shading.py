@@ -1,17 +1,20 @@
 """The lecture's shading: ambient, Lambert and Phong (or Blinn's halfway-vector) terms at a point.
 
-    C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
+    C = ka A S + sum over lights l of  lit_l C_l f_l (kd (N.L_l) S + ks highlight_l)
 
 with S the surface's colour, C_l the light's, A the mean of all C_l, and unit vectors N, L, V, R, H.
+f_l is 1, or (falloff / r)^2 of a light that grows dimmer with its distance r.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from ..base.types import Highlight, Mask, PixelArray
-from ..base.vec import Vec, dot, norm, unit
+from ..base.vec import Vec, dot, norm
+from ..scene.light import Light
 from .hit import Surface
 
 
@@ -66,29 +69,27 @@ def power(cosine: PixelArray, exponent: PixelArray) -> PixelArray:
     return jnp.where(positive, value, jnp.where(exponent == 0, 1, 0).astype(cosine.dtype))
 
 
-def toward_light(surface: Surface, light: Vec) -> Vec:
-    """Returns L: the unit vectors from the surface to a light."""
-    return unit(light - surface.point)
-
-
 def light_terms(
     surface: Surface,
     direction: Vec,
-    light: Vec,
+    light: Light,
     exponent: PixelArray,
     lit: Mask,
     highlight: Highlight | None,
 ) -> tuple[PixelArray, PixelArray]:
     """Computes one light's terms before colours and coefficients: N.L and (R.V)^n, 0 if unlit.
 
-    **Arguments:** `direction`: the rays' directions. `light`: the light's position. `lit`: whether
-    the light is visible from the point. `highlight`: the model; None leaves the second term out.
+    Both are multiplied by the light's fall-off.
+
+    **Arguments:** `direction`: the rays' directions. `lit`: whether the light is visible from the
+    point. `highlight`: the model; None leaves the second term out.
     """
-    to_light = toward_light(surface, light)
+    to_light = light.direction(surface.point)
     cosine = lambert(surface, to_light)
     lit = lit & (cosine > 0)
     diffuse = jnp.where(lit, cosine, 0)
+    faded = partial(light.faded, surface.point)
     if highlight is None:
-        return diffuse, jnp.zeros_like(diffuse)
+        return faded(diffuse), jnp.zeros_like(diffuse)
     shine = power(HIGHLIGHTS[highlight].cosine(surface, to_light, direction), exponent)
-    return diffuse, jnp.where(lit, shine, 0)
+    return faded(diffuse), faded(jnp.where(lit, shine, 0))

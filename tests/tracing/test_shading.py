@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spheretrace_jax.base.vec import SplitVec, Vec, dot, norm, reflect, unit, vec
+from spheretrace_jax.scene.light import Light
 from spheretrace_jax.tracing.hit import Surface
 from spheretrace_jax.tracing.shading import blinn, lambert, light_terms, phong, power
 
@@ -59,15 +60,17 @@ def test_power_of_the_positive_part(cosine, exponent, value):
 
 @pytest.mark.parametrize("exponent", [0.0, 5.0])
 @pytest.mark.parametrize(("degrees", "lit"), [(100, True), (30, False)])
-def test_unlit_points_get_no_light(exponent, degrees, lit):
+@pytest.mark.parametrize("directional", [False, True])
+def test_unlit_points_get_no_light(exponent, degrees, lit, directional):
     surface = viewed_from(at_angle(0))
-    away = at_angle(degrees) * 1000
+    away = Light(at_angle(degrees) * 1000, None, directional)
     terms = light_terms(surface, -at_angle(0), away, jnp.array(exponent), jnp.array(lit), "phong")
     assert terms == (0, 0)
 
 
 def test_light_on_the_surface_point():
     surface = viewed_from(at_angle(0))
-    arguments = surface, -at_angle(0), surface.point, jnp.array(5.0), jnp.array(True)
+    light = Light(surface.point, jnp.array(3.0), directional=False)
+    arguments = surface, -at_angle(0), light, jnp.array(5.0), jnp.array(True)
     assert np.isfinite(light_terms(*arguments, "blinn")).all()
     assert norm(surface.point) == 0

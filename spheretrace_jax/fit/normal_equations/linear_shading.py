@@ -1,24 +1,27 @@
 """Linear shading: colours as linear functions of a few numbers for each shading sample.
 
 With the lecture's C = ka A S + sum_l C_l (kd u_l S + ks h_l), u_l = lit N.L and h_l the highlight,
-a sample's colour is linear in X = (1, u_l, h_l), with factors that are the same for all samples of
-an object. So are its derivatives: X, the derivatives of u_l and h_l by the light's position, and
-that of h_l by the exponent, are all that a step evaluates.
+both as the light's distance leaves them, a sample's colour is linear in X = (1, u_l, h_l), with
+factors that are the same for all samples of an object. So are its derivatives: X, the derivatives
+of u_l and h_l by the light's position, and that of h_l by the exponent, are all that a step
+evaluates.
 """
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
 from ...base.types import Ids, Index, PixelArray
-from ...base.vec import Vec, components, grey, vec, where, zeros
+from ...base.vec import Vec, components, grey, where, zeros
+from ...scene.light import Light, make_light, map_lights
+from ...scene.parameters import LIGHT_PLACES
 from ...tracing.context import TraceContext
 from ...tracing.hit import Hit, Surface
 from ...tracing.material import MOST_LIGHTS, local_color, sum_lights
@@ -26,8 +29,8 @@ from ...xla.loops import loop
 from .jacobian_rows import TABLE_COLUMNS
 from .parameter_index import ParameterIndex
 
-Terms = Callable[[Vec, bool, PixelArray], tuple[PixelArray, PixelArray]]
-"""From a light's position, whether it may be blocked, and exponents, to u and h of samples."""
+Terms = Callable[[Light, bool, PixelArray], tuple[PixelArray, PixelArray]]
+"""From a light, whether it may be blocked, and exponents, to u and h of samples."""
 
 Basis = Float[Array, "_ _ ..."]
 """The numbers of samples; one channel stands for all three where nothing is tinted."""
@@ -67,8 +70,8 @@ class LinearShading(eqx.Module):
 
     @property
     def by_position(self) -> int:
-        """Returns how many free numbers the lights' positions have."""
-        return 3 * self.lights if "light_position" in self.index.lights else 0
+        """Returns how many numbers the lights' positions and directions have, if any is free."""
+        return 3 * self.lights if set(LIGHT_PLACES) & set(self.index.lights) else 0
 
     @property
     def numbers(self) -> int:
@@ -79,13 +82,22 @@ class LinearShading(eqx.Module):
         """Returns the numbers of samples. **Arguments:** `ids`: of the objects that they show."""
         context, lights = self.context, self.context.scene.lights
         exponent = context.material(ids, lambda m: m.exponent)
-        of_light = lambda place, shadows: self._of_light(terms, place, exponent, shadows)
+        needs = context.needs
+
+        def of_light(
+            place: Float[Array, " 3"], falloff: PixelArray, directional: bool, shadows: bool
+        ) -> tuple[Float[Array, "_ ..."], ...]:
+            fades = falloff if needs.falloff else None
+            at = lambda place: make_light(place, fades, directional)
+            return self._of_light(terms, at, place, exponent, shadows)
+
         if self.lights <= MOST_LIGHTS:
-            flags = [context.needs.shadows_of(k) for k in range(self.lights)]
-            each = [of_light(*pair) for pair in zip(lights.position, flags, strict=True)]
+            flags = [needs.shadows_of(k) for k in range(self.lights)]
+            rows = zip(lights.position, lights.falloff, lights.directional, flags, strict=True)
+            each = [of_light(*row) for row in rows]
             parts = [jnp.concatenate(x) for x in zip(*each, strict=True)]
         else:
-            each = lax.map(lambda place: of_light(place, context.needs.shadows), lights.position)
+            each = map_lights(partial(of_light, shadows=needs.shadows), lights)
             parts = [x.reshape(-1, *ids.shape) for x in each]
         one = jnp.ones((1, *ids.shape), context.dtype)
         u, h, by_exponent, u_slope, h_slope = parts or [one[:0]] * 5
@@ -95,11 +107,16 @@ class LinearShading(eqx.Module):
         return jnp.stack([jnp.concatenate(x) for x in numbers])
 
     def _of_light(
-        self, terms: Terms, place: Float[Array, " 3"], exponent: PixelArray, shadows: bool
+        self,
+        terms: Terms,
+        light_at: Callable[[Float[Array, " 3"]], Light],
+        place: Float[Array, " 3"],
+        exponent: PixelArray,
+        shadows: bool,
     ) -> tuple[Float[Array, "_ ..."], ...]:
         """Returns of one light u, h, h by the exponent, and u and h by the position."""
         none = jnp.zeros((0, *exponent.shape), exponent.dtype)
-        at = lambda place: terms(vec(place), shadows, exponent)
+        at = lambda place: terms(light_at(place), shadows, exponent)
         if self.by_position:
             by = lambda step: jax.jvp(at, (place,), (step,))
             steps = jnp.eye(3, dtype=place.dtype)
@@ -110,7 +127,7 @@ class LinearShading(eqx.Module):
             return u[None], none, none, u_slope, none
         by_exponent = none
         if self.own > self.linear:
-            of = lambda n: terms(vec(place), shadows, n)[1]
+            of = lambda n: terms(light_at(place), shadows, n)[1]
             by_exponent = jax.jvp(of, (exponent,), (jnp.ones_like(exponent),))[1][None]
         return u[None], h[None], by_exponent, u_slope, h_slope
 
