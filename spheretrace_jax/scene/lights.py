@@ -31,7 +31,7 @@ class Lights(eqx.Module):
         self,
         position: ArrayLike | Sequence,
         color: ArrayLike | Sequence = (1.0, 1.0, 1.0),
-        directional: bool | Sequence[bool] = False,
+        directional: ArrayLike | Sequence = False,
         falloff: ArrayLike | Sequence = 0.0,
     ):
         """Builds m lights. **Arguments:** as the fields; one value holds for all lights.

@@ -106,5 +106,5 @@ def _at_infinity(least: float, angle: float) -> str:
         return f": distance undetermined, {known}"
     return (
         f" is at infinity: its distance does not show, but is at least {least:.3g} (95 %); "
-        f"{known}; a directional light is the simpler model"
+        f"{known}; prefer a directional light, the simpler model"
     )
