@@ -114,9 +114,10 @@ def test_what_fits_nothing_is_refused(lights, arguments, message):
 
 
 def test_pictures_must_agree_on_what_is_directional():
-    scenes = scene(0, 0, 9), scene(0, 0, 9, directional=True)
-    with pytest.raises(st.InputError, match="other directional lights"):
-        make_problem(scenes, np.full((2, 4, 4, 3), 0.5), ("kd", "light_color"), bounces=0)
+    other = st.Lights(MIXED.position, MIXED.color, directional=(True, False, False))
+    scenes = mixed(), eqx.tree_at(lambda s: s.lights, mixed(), other)
+    with pytest.raises(st.InputError, match="scene 2 has other directional lights than the first"):
+        make_problem(scenes, np.full((2, 4, 4, 3), 0.5), ("kd", *BOTH), bounces=0)
 
 
 MANY = st.Lights(
