@@ -133,7 +133,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", ["one ray", *(pytest.param(name, marks=pytest.mark.slow) for name in list(CASES)[1:])]
+)
 def test_shading_equations_equal_those_of_pixels(name):
     start, free = CASES[name]
     target = np.random.default_rng(0).uniform(0.1, 0.9, (SIZE, SIZE, 3))

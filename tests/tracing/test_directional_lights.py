@@ -100,7 +100,7 @@ def test_falloff_scales_one_light():
     np.testing.assert_allclose(picture(450.0), picture(900.0) / 4, rtol=1e-13)
 
 
-@pytest.mark.parametrize("antialias", [0, 1])
+@pytest.mark.parametrize("antialias", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_light_buffers_hold_all_occluders(antialias, monkeypatch):
     rng = np.random.default_rng(0)
     spheres = st.Spheres(rng.uniform(-100, 100, (160, 3)), rng.uniform(4, 12, 160), ks=0.2)
@@ -126,7 +126,7 @@ MOVES = {
 
 
 @pytest.mark.parametrize("name", MOVES)
-@pytest.mark.parametrize("antialias", [0, 1])
+@pytest.mark.parametrize("antialias", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_derivatives_equal_differences(name, antialias):
     at, step, h = MOVES[name]
     scene = lit("shadows", MIXED).with_antialias(antialias)
