@@ -145,6 +145,8 @@ class _LightExchange:
         gain[one, c], gain[other, c] = 1, -1
         if self.name in LIGHT_PLACES:
             gain[one, c], gain[other, c] = bright[other], -bright[one]
+        if self.name == "light_direction":  # a longer one turns less
+            gain *= np.linalg.norm(self.evidence.natural[k][self.name], axis=1, keepdims=True)
         return {self.name: gain}
 
 
