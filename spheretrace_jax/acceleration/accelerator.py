@@ -7,15 +7,18 @@ derivatives. Without an accelerator every ray tests every sphere.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from ..base.types import Ids, PixelArray
-from ..base.vec import Vec, vec
+from ..base.vec import Vec, components
+from ..scene.light import Light, make_light
+from ..scene.lights import Lights
 from ..scene.scene import Scene
 from ..scene.settings import RenderSettings
-from .binning import build_bins, cluster
-from .light_buffer import LightBuffer, light_projection
+from .binning import Cluster, build_bins, cluster
+from .light_buffer import LightBuffer, LightProjection, light_projection
 from .screen_tiles import ScreenTiles, screen_bounds, tile_count
 from .sphere_blocks import SphereBlocks, build_blocks
 from .uniform_grid import UniformGrid, grid_bounds, max_grid_cells
@@ -37,8 +40,8 @@ class Accelerator(eqx.Module):
     """The acceleration structures for each kind of ray."""
 
     screen_tiles: ScreenTiles  #: for rays from the eye
-    light_positions: Float[Array, "m 3"]
-    light_buffers: LightBuffer | None  #: for shadow rays, stacked over the lights
+    #: for shadow rays: the buffers of lights at points, and of directional ones
+    light_buffers: "tuple[LightBuffers | None, LightBuffers | None] | None"
     uniform_grid: UniformGrid | None  #: for any rays
     sphere_blocks: SphereBlocks | None  #: for the cones of pixels with edges
 
@@ -53,11 +56,25 @@ class Accelerator(eqx.Module):
         """Returns the accelerator for some pixels."""
         return eqx.tree_at(lambda a: a.screen_tiles, self, self.screen_tiles.of_pixels(column, row))
 
-    def light_buffer(self, light: Vec) -> LightBuffer:
-        """Finds the light buffer of one of the scene's lights by its position."""
-        position = jnp.stack([light.x, light.y, light.z])[None]
-        index = jnp.argmax(jnp.all(self.light_positions == position, axis=1))
-        return jax.tree.map(lambda x: x[index], self.light_buffers)
+    def light_buffer(self, light: Light) -> LightBuffer:
+        """Finds the light buffer of one of the scene's lights."""
+        assert self.light_buffers is not None
+        buffers = self.light_buffers[light.directional]
+        assert buffers is not None
+        return buffers.of(light)
+
+
+class LightBuffers(eqx.Module):
+    """The light buffers of all lights of one kind, stacked."""
+
+    places: Vec  #: the lights', by which they are found
+    buffers: LightBuffer
+
+    def of(self, light: Light) -> LightBuffer:
+        """Returns the light buffer of one of the lights."""
+        same = [a == b for a, b in zip(*map(components, (self.places, light.place)), strict=True)]
+        index = jnp.argmax(same[0] & same[1] & same[2])
+        return jax.tree.map(lambda x: x[index], self.buffers)
 
 
 def build_accelerator(
@@ -72,17 +89,18 @@ def build_accelerator(
     if not MAX_BRUTE_FORCE < spheres < ID_LIMIT - scene.objects:
         return None
     center, radius, scene = lax.stop_gradient((center, radius, scene))
-    lights = scene.lights.position
     size, rows = (settings.width, settings.height), settings.rows
     stack = lambda grid: jax.tree.map(lambda x: x[None], grid)
     pixel = EDGE_REACH * settings.side if settings.antialias else 0.0
     bounds = [stack(screen_bounds(center, radius, scene.camera, size, rows, pixel))]
     max_cells = tile_count((size[0], rows.count))
-    group, projections, grid = cluster(center, radius), None, None
+    group, projected, grid = cluster(center, radius), {}, None
     if settings.needs.shadows:
-        projections = lax.map(lambda light: light_projection(vec(light), spheres, group), lights)
-        bounds.append(lax.map(lambda projection: projection.bounds(center, radius), projections))
-        max_cells = max(max_cells, projections.cells**2)
+        for directional in sorted(set(scene.lights.directional)):
+            places, projections = _projections(scene.lights, directional, spheres, group)
+            bounds.append(lax.map(lambda one: one.bounds(center, radius), projections))
+            max_cells = max(max_cells, projections.cells**2)
+            projected[directional] = places, projections
     if settings.bounces:
         corner, side, boxes = grid_bounds(center, radius, group)
         grid = corner, side
@@ -91,11 +109,35 @@ def build_accelerator(
     bounds = jax.tree.map(lambda *x: jnp.concatenate(x), *bounds)
     bins = build_bins(center, radius, bounds, max_cells)
     bins_of = lambda index: jax.tree.map(lambda x: x[index], bins)
-    of_lights = slice(1, 1 + len(lights))
+    buffers, first = {}, 1
+    for directional, (places, projections) in projected.items():
+        last = first + len(scene.lights.numbers(directional))
+        buffers[directional] = LightBuffers(
+            places, LightBuffer(projections, bins_of(slice(first, last)))
+        )
+        first = last
     return Accelerator(
         ScreenTiles(bins_of(0)),
-        lights,
-        None if projections is None else LightBuffer(projections, bins_of(of_lights)),
+        (buffers.get(False), buffers.get(True)) if buffers else None,
         None if grid is None else UniformGrid(*grid, bins_of(-1)),
         build_blocks(center, radius, group) if settings.antialias else None,
     )
+
+
+def _projections(
+    lights: Lights, directional: bool, spheres: int, group: Cluster
+) -> tuple[Vec, LightProjection]:
+    """Returns the places of all lights of one kind and their projections, stacked.
+
+    **Arguments:** `spheres`: the number of spheres. `group`: the region of most of them.
+    """
+    numbers = lights.numbers(directional)
+    positions = lights.position
+    if len(numbers) < len(lights):
+        positions = positions[np.asarray(numbers, np.int32)]
+
+    def of_row(position: Array) -> tuple[Vec, LightProjection]:
+        light = make_light(position, None, directional)
+        return light.place, light_projection(light, spheres, group)
+
+    return lax.map(of_row, positions)

@@ -15,6 +15,7 @@ from jax import lax
 
 from ..base.types import Ids, Mask, PixelArray, Scalar
 from ..base.vec import SplitVec, Vec, cross, dot, norm, unit, where
+from ..scene.light import Light
 from ..xla.compaction import while_active
 from .binning import (
     ROUNDING_ULPS,
@@ -119,6 +120,9 @@ class LightCells(eqx.Module):
 class LightProjection(eqx.Module):
     """A stereographic projection of all directions from a light onto a square of cells.
 
+    From a directional light it is the orthographic projection, along its parallel rays, to which
+    the stereographic one comes, but for scale, as a light moves away.
+
     Coordinates run from 0 to `cells` along x and y. The projection maps circles to circles, so
     that the bounding boxes of spheres, seen as circles, are exact (Snyder, "Map Projections: A
     Working Manual", 1987, ch. 21). Its middle points at the cluster of spheres, whose extent sets
@@ -126,7 +130,7 @@ class LightProjection(eqx.Module):
     """
 
     anchor: Vec  #: a point amid the spheres; near points are computed relative to it
-    offset: Vec  #: from the light to the anchor, along the axes
+    offset: Vec  #: from the light to the anchor, along the axes; 0 for a directional one
     right: Vec
     up: Vec
     forward: Vec
@@ -134,6 +138,7 @@ class LightProjection(eqx.Module):
     half_width: tuple[Scalar, Scalar]  #: of the projected cluster
     slack: Scalar  #: the rounding error of positions, in units of length
     cells: int = eqx.field(static=True)
+    directional: bool = eqx.field(static=True)
 
     def from_light(self, point: Vec) -> Vec:
         """Returns the vectors from the light to points, along the axes.
@@ -152,7 +157,10 @@ class LightProjection(eqx.Module):
 
     def project(self, point: Vec) -> tuple[PixelArray, PixelArray]:
         """Projects points stereographically: the radius is tan of half the angle to forward."""
-        w = unit(self.from_light(point))
+        v = self.from_light(point)
+        if self.directional:
+            return v.x, v.y
+        w = unit(v)
         # of two equal forms the one that subtracts no nearly equal numbers
         ahead = w.z >= 0
         bottom = jnp.where(ahead, 1 + w.z, w.x * w.x + w.y * w.y)
@@ -170,6 +178,8 @@ class LightProjection(eqx.Module):
         (u.x, u.y) / (u.z + cos a), its radius sin a / (u.z + cos a).
         """
         v = self.from_light(center)
+        if self.directional:
+            return self._shadow_boxes(v, radius + self.slack)
         distance = norm(v)
         outside = distance > radius + self.slack
         per_distance = 1 / jnp.where(outside, distance, 1)
@@ -186,6 +196,17 @@ class LightProjection(eqx.Module):
             high.append(jnp.where(unbounded, self.cells, self._to_cells(x + r, axis)))
         return low, high
 
+    def _shadow_boxes(
+        self, v: Vec, radius: PixelArray
+    ) -> tuple[list[PixelArray], list[PixelArray]]:
+        """Returns the boxes around the discs that spheres are along parallel rays."""
+        low, high = [], []
+        for axis, x in enumerate((v.x, v.y)):
+            r = radius + (ROUNDING_ULPS * jnp.finfo(radius.dtype).eps) * (jnp.abs(x) + radius)
+            low.append(self._to_cells(x - r, axis))
+            high.append(self._to_cells(x + r, axis))
+        return low, high
+
     def _to_cells(self, x: PixelArray, axis: int) -> PixelArray:
         """Converts a projected coordinate to cells: linear amid the cluster, compressed beyond.
 
@@ -197,13 +218,14 @@ class LightProjection(eqx.Module):
         return (jnp.where(far, compressed, x * UNIFORM_FRACTION) + 1) * (self.cells / 2)
 
 
-def light_projection(light: Vec, spheres: int, group: Cluster) -> LightProjection:
+def light_projection(light: Light, spheres: int, group: Cluster) -> LightProjection:
     """Builds the projection of a light.
 
     **Arguments:** `spheres`: the number of spheres. `group`: the region of most of them.
     """
-    anchor, dtype = group.middle, light.x.dtype
-    forward = unit(anchor - light)
+    anchor, dtype = group.middle, light.place.x.dtype
+    to_anchor = -light.toward(anchor)
+    forward = unit(to_anchor)
     forward = where(dot(forward, forward) > 0.5, forward, SplitVec(*jnp.eye(3, dtype=dtype)[0]))
     near_x_axis = jnp.abs(forward.x) > 0.5
     zero, one = jnp.zeros_like(forward.x), jnp.ones_like(forward.x)
@@ -211,11 +233,13 @@ def light_projection(light: Vec, spheres: int, group: Cluster) -> LightProjectio
         cross(forward, where(near_x_axis, SplitVec(zero, one, zero), SplitVec(one, zero, zero)))
     )
     up = cross(right, forward)
-    offset = anchor - light
-    offset = SplitVec(dot(offset, right), dot(offset, up), dot(offset, forward))
+    offset = SplitVec(dot(to_anchor, right), dot(to_anchor, up), dot(to_anchor, forward))
+    if light.directional:
+        offset = SplitVec(zero, zero, zero)
     cells = int(math.sqrt(max_bins(spheres)))
     unscaled = LightProjection(
-        anchor, offset, right, up, forward, (zero, zero), (one, one), group.slack, cells
-    )
+        anchor, offset, right, up, forward, (zero, zero), (one, one), group.slack, cells,
+        light.directional,
+    )  # fmt: skip
     region = central_range(unscaled.project(group.sample))
     return eqx.tree_at(lambda p: (p.middle, p.half_width), unscaled, tuple(map(tuple, region)))

@@ -18,13 +18,14 @@ from ..base.safe_math import clamp, larger, smaller
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, split, where, zeros
 from ..scene.camera import Ray, unit_ray
+from ..scene.light import Light
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
 from ..tracing.fresnel import coat_transmission
 from ..tracing.hit import Hit, Surface
 from ..tracing.material import background_color, finish_of, local_color, sum_lights
 from ..tracing.path import Path, first_path, next_path, trace_path
-from ..tracing.shading import HIGHLIGHTS, Finish, lambert, power, toward_light
+from ..tracing.shading import HIGHLIGHTS, Finish, lambert, power
 from ..tracing.surface import mean_surface_at
 from ..xla.barriers import barrier
 from ..xla.compaction import add_where
@@ -240,7 +241,7 @@ def secondary_path(
 def layer_light_terms(
     context: TraceContext,
     layer: VisibleLayer,
-    light: Vec,
+    light: Light,
     shadows: bool,
     finish: Finish | None = None,
 ) -> tuple[PixelArray, PixelArray]:
@@ -253,17 +254,18 @@ def layer_light_terms(
     """
     ray, hit, surface, distance = layer.ray.value, layer.hit, layer.surface, layer.distance
     highlight = HIGHLIGHTS[context.settings.highlight]
-    to_light = toward_light(surface, light)
+    to_light = light.direction(surface.point)
     cosine, lit = lambert(surface, to_light), hit.id >= 0
     part = lit.astype(cosine.dtype)
     if shadows:
         part = part * lit_coverage(context, layer.ray, distance.extent, layer.polygon, hit, light)
     finish = finish_of(context, hit.id) if finish is None else finish
     diffuse = _mean_lambert(context, layer, cosine, to_light) * part
+    faded = partial(light.faded, surface.point)
     if finish.ior is not None:
         diffuse = diffuse * _mean_coat(context, layer, cosine, to_light, finish.ior)
     if finish.exponent is None:
-        return diffuse, jnp.zeros_like(diffuse)
+        return faded(diffuse), jnp.zeros_like(diffuse)
 
     def front_area() -> PixelArray:
         f = layer.ray.paired_with(distance.q).map(
@@ -275,15 +277,15 @@ def layer_light_terms(
     front = lambda: (cosine > 0).astype(part.dtype)
     part = part * lax.cond(jnp.any(abrupt), front_area, front)
     shine = power(highlight.cosine(surface, to_light, ray.direction), finish.exponent)
-    return diffuse, shine * part
+    return faded(diffuse), faded(shine * part)
 
 
 def _cosine_at(
-    context: TraceContext, ray: Ray, q: Vec, layer: VisibleLayer, light: Vec
+    context: TraceContext, ray: Ray, q: Vec, layer: VisibleLayer, light: Light
 ) -> PixelArray:
     """Returns N.L of the mean surface that another ray of the pixel sees."""
     surface = mean_surface_at(context, ray, q, layer.hit, layer.distance.extent)
-    return lambert(surface, toward_light(surface, light))
+    return lambert(surface, light.direction(surface.point))
 
 
 def _mean_lambert(

@@ -8,6 +8,8 @@ but is never clear where there is such an edge. Everything here is discrete and 
 `stop_gradient`.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,8 +17,10 @@ import jax.numpy as jnp
 from ..acceleration.sphere_blocks import PixelCone
 from ..base.safe_math import safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
-from ..base.vec import Vec, dot, norm, vec
+from ..base.vec import dot, norm
 from ..scene.camera import Ray
+from ..scene.light import Light, light_of
+from ..scene.lights import Lights
 from ..tracing.candidates import cone_candidates, shadow_candidates, shadow_cone
 from ..tracing.cone import LEAST_COS_VIEW, RayCone
 from ..tracing.context import TraceContext
@@ -64,21 +68,34 @@ def edge_mask(
     **Arguments:** `hit`: what the rays meet. `source_hit`: the hit that the rays start from, None
     for rays from the eye. `alive`: the pixels that have rays, None for all; others have no edges.
     """
-    needs, lights = context.needs, context.scene.lights.position
-    context, lights, ray, cone, hit = jax.lax.stop_gradient((context, lights, ray, cone, hit))
+    needs = context.needs
+    context, ray, cone, hit = jax.lax.stop_gradient((context, ray, cone, hit))
+    lights = context.scene.lights
     alive = jnp.full(hit.id.shape, True) if alive is None else alive
     edge = context.compute_once(lambda: _object_edges(context, ray, cone, hit, source_hit, alive))
     if not needs.shadows and not needs.highlights:
         return edge
 
-    def add_light(k: Index, edge: Mask) -> Mask:
-        light, shadows = vec(lights[k]), needs.shadows_of(k)
+    def add_light(directional: bool, k: Index, edge: Mask) -> Mask:
+        number = _number_of(lights, directional, k)
+        light, shadows = light_of(lights, number, directional, False), needs.shadows_of(number)
         look = alive & (hit.id >= 0)
         return edge | look & context.compute_once(
             lambda: _light_edges(context, ray, cone, hit, light, shadows, look & ~edge)
         )
 
-    return loop(len(lights), add_light, edge)
+    for directional in (False, True):
+        count = len(lights.numbers(directional))
+        edge = loop(count, partial(add_light, directional), edge)
+    return edge
+
+
+def _number_of(lights: Lights, directional: bool, k: Index) -> Index:
+    """Returns the number of a light, from its number among the lights of its kind."""
+    numbers = lights.numbers(directional)
+    if len(numbers) == len(lights):
+        return k
+    return numbers[k] if isinstance(k, int) else jnp.asarray(numbers, jnp.int32)[k]
 
 
 def _footprint(context: TraceContext, ray: Ray, cone: RayCone, hit: Hit) -> _Footprint:
@@ -127,7 +144,7 @@ def _light_edges(
     ray: Ray,
     cone: RayCone,
     hit: Hit,
-    light: Vec,
+    light: Light,
     shadows: bool,
     look: Mask,
 ) -> Mask:
@@ -139,7 +156,7 @@ def _light_edges(
     pixel, needs = _footprint(context, ray, cone, hit), context.needs
     scale = shadow_scale(context, light)
     radius = pixel.radius * scale
-    segment = shadow_segment(pixel.surface.point * scale, light * scale)
+    segment = shadow_segment(pixel.surface.point * scale, light.scaled(scale))
     facing = dot(pixel.surface.normal, segment.to_light)  # N.L times the light's distance
 
     def add_shadow(
@@ -159,8 +176,10 @@ def _light_edges(
         pixels = segment, radius, hit.id
         edge = context.fold(add_shadow, pixels, edge, candidates=near, scale=scale) & (facing > 0)
     if needs.highlights:
-        # across the footprint it changes by at most its radius times this
-        change = norm(segment.to_light) * context.curvature_of_hit(hit) / scale + 1
+        # across the footprint it changes by at most its radius times this: as N turns, and as the
+        # way to a light at a point changes
+        change = norm(segment.to_light) * context.curvature_of_hit(hit) / scale
+        change = change if light.directional else change + 1
         ends = jnp.abs(facing) < radius * change
         model = HIGHLIGHTS[context.settings.highlight]
         abrupt = model.ends_abruptly(segment.to_light, ray.direction)

@@ -13,8 +13,9 @@ from jax import lax
 from ..base.derivatives import stop_first_gradient
 from ..base.safe_math import clamp, larger, safe_sqrt
 from ..base.types import Ids, Index, Mask, PixelArray
-from ..base.vec import Vec, dot, norm, unit, where
+from ..base.vec import Vec, dot, norm, where
 from ..scene.camera import Ray, unit_ray
+from ..scene.light import Light
 from ..tracing.candidates import few_shadow_candidates, shadow_cone
 from ..tracing.context import TraceContext
 from ..tracing.differential import Differential
@@ -59,7 +60,7 @@ def lit_coverage(
     extent: PixelArray,
     visible: Polygon,
     hit: Hit,
-    light: Vec,
+    light: Light,
 ) -> PixelArray:
     """Returns the part of what is visible of an object in a pixel that a light reaches, 0..1.
 
@@ -106,7 +107,7 @@ def _boundary(
     shaded: _Shaded,
     place: tuple[PixelArray, PixelArray],
     number: Ids,
-    light: Vec,
+    light: Light,
 ) -> _Boundary:
     """Returns the boundary of an object's shadow, linear around a place in the pixel."""
     x, y = place
@@ -120,11 +121,11 @@ def _boundary(
     if context.needs.planes:
         below = context.plane(number).shadow_function(point, light)
         f = where(context.tables.is_plane(number), below, f)
-    return _Boundary(f.at(-x, -y), q.at(-x, -y), unit(light - point.value), radius)
+    return _Boundary(f.at(-x, -y), q.at(-x, -y), light.direction(point.value), radius)
 
 
 def _shadow_half_plane(
-    context: TraceContext, shaded: _Shaded, number: Ids, light: Vec
+    context: TraceContext, shaded: _Shaded, number: Ids, light: Light
 ) -> HalfPlane:
     """Returns the half-plane of the pixel in the shadow of one object."""
     at, straight = barrier(_find_edge(*stop_first_gradient((context, shaded, light)), number))
@@ -134,7 +135,7 @@ def _shadow_half_plane(
 
 
 def _find_edge(
-    context: TraceContext, shaded: _Shaded, light: Vec, number: Ids
+    context: TraceContext, shaded: _Shaded, light: Light, number: Ids
 ) -> tuple[tuple[PixelArray, PixelArray], Mask]:
     """Finds a place on the edge of a shadow, and whether to take the edge as straight there."""
     here = _boundary(context, shaded, shaded.middle, number, light)
@@ -197,13 +198,13 @@ class _Edge(NamedTuple):
 
 
 def _find_occluders(
-    context: TraceContext, shaded: _Shaded, light: Vec
+    context: TraceContext, shaded: _Shaded, light: Light
 ) -> tuple[Mask, tuple[Ids, ...]]:
     """Finds pixels that are wholly dark, and the objects whose shadows' edges cross the others."""
     context, shaded, light = lax.stop_gradient((context, shaded, light))
     hit, middle = shaded.hit, shaded.middle
     point = shaded.ray.at(*middle).map(lambda ray: surface_at(context, unit_ray(ray), hit).point)
-    pixel = ShadowedPixel(point, middle, light, norm(light - point.value))
+    pixel = ShadowedPixel(point, middle, light, light.distance(point.value))
     # near a rim the derivatives grow without bound, but no pixel sees more than all of a sphere
     footprint, size = pixel.footprint, 2 * context.sphere(hit.id).radius
     beyond = context.tables.is_sphere(hit.id) & (footprint > size)

@@ -69,9 +69,9 @@ class WeightedRows(eqx.Module):
 def solve_lights(
     samples: BallSamples,
     models: LightModel,
-    start: Float[Array, "lanes 6"],
-    lower: Float[Array, "lanes 6"],
-    upper: Float[Array, "lanes 6"],
+    start: Float[Array | np.ndarray, "lanes 6"],
+    lower: Float[Array | np.ndarray, "lanes 6"],
+    upper: Float[Array | np.ndarray, "lanes 6"],
 ) -> LightFit:
     """Fits lights by several models, or from several starts, to the same samples.
 
@@ -96,7 +96,7 @@ def solve_lights(
 @compiled
 def rows_at(fit: LightFit, samples: BallSamples) -> WeightedRows:
     """Returns residuals and Jacobian of one fit at other samples, say, or at its own."""
-    return _rows(fit.unknowns, samples, fit.model)
+    return _rows(jnp.asarray(fit.unknowns), samples, fit.model)
 
 
 def _rows(unknowns: Float[Array, " 6"], samples: BallSamples, model: LightModel) -> WeightedRows:

@@ -133,7 +133,7 @@ def lights(
     **Raises:** `InputError` for pictures that do not show the ball or no light on it.
     """
     several = isinstance(pictures, list | tuple) or np.ndim(pictures) == 4
-    images = [_picture(p) for p in (pictures if several else [pictures])]
+    images = [_picture(np.asarray(p)) for p in (pictures if several else [pictures])]
     names = [f"photo {k + 1}" for k in range(len(images))] if names is None else list(names)
     if len(names) != len(images):
         raise InputError(f"names: expected {len(images)}, one for each picture, got {len(names)}")
@@ -187,7 +187,7 @@ def _named(name: str, function: Callable, *args: Any) -> Any:
 
 def _picture(picture: Num[np.ndarray, "height width *channels"]) -> Picture:
     """Returns a picture of three channels with white at 1. **Raises:** `PictureError`."""
-    numbers, word = linear_numbers(np.asarray(picture))
+    numbers, word = linear_numbers(picture)
     if word is not None:
         warnings.warn(word.replace("the target", "the picture"), PictureWarning, stacklevel=3)
     return numbers.astype(float)

@@ -9,7 +9,7 @@ from tyro.conf import Positional, arg
 
 from ..base.errors import InputError, PictureWarning
 from ..base.types import Colorspace
-from ..fit.fit import DEFAULT_FREE, TOLERANCE
+from ..fit.fit import TOLERANCE
 from ..fit.model.parameters import NAMES
 from ..fit.model.target import PHOTO, Loss
 from ..fit.solver.gauge import Gauge
@@ -56,12 +56,13 @@ class FitCommand(Sampling, Compiling):
         arg(aliases=["-o"], metavar="FITTED.txt", help="the scene file to write, - for stdout"),
     ]
     free: Annotated[
-        str,
+        str | None,
         arg(
             metavar="NAMES",
-            help=f"what to fit, with commas: {', '.join(NAMES)}; of some objects: color:1,3-5,kd",
+            help=f"what to fit, with commas: {', '.join(NAMES)}; of some objects: color:1,3-5,kd; "
+            "by default color, ka, kd, ks and where the lights are",
         ),
-    ] = ",".join(DEFAULT_FREE)
+    ] = None
     tie: Annotated[
         str | None,
         arg(metavar="NAMES", help="what objects share: kd for all, kd:1,3-5 for some"),
@@ -124,6 +125,7 @@ class FitCommand(Sampling, Compiling):
         from ..fit.model.target import mean_of_boxes
 
         free, tie = (objects_in(f"--{n}", getattr(self, n) or "") for n in ("free", "tie"))
+        free = None if self.free is None else free
         bounds = pairs_in("--bounds", self.bounds, "..")
         priors = pairs_in("--priors", self.priors, "+-")
         brightest = channels_in("--brightest", self.brightest)
@@ -133,7 +135,7 @@ class FitCommand(Sampling, Compiling):
             check_target(self.output)
         check_folder(self.report)
         scene = read_scene(self.scene, self.dtype)
-        for option, given in (("--free", free), ("--tie", tie)):
+        for option, given in (("--free", free or {}), ("--tie", tie)):
             _check_objects(option, given, scene)
         with file_to_read(self.target) as file:
             with warnings.catch_warnings():
@@ -155,7 +157,7 @@ class FitCommand(Sampling, Compiling):
         if self.report is not None:
             shown = mean_of_boxes(target, self.shrink)
             for file in progress.report_with_progress(
-                self.report, result, scene, shown, tuple(free), self.settings
+                self.report, result, scene, shown, result.problem.parameters[0].free, self.settings
             ):
                 say(self.output, file)
         return 130 if result.interrupted else 0 if result.trust.ok else 1

@@ -8,7 +8,7 @@ import numpy as np
 from ..files.atomic import replacing, write_text
 from ..fit import Fit
 from ..fit.diagnosis.trust import together
-from ..fit.model.parameters import value
+from ..fit.model.parameters import bounding_sphere, value
 from ..scene.scene import Scene
 
 
@@ -24,7 +24,8 @@ def _remarks(fit: Fit) -> list[str]:
 def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
     """Returns a Markdown table of the free parameters, one line per object that is not held.
 
-    Columns: before, after, and the standard deviation, which is `-` for undetermined numbers.
+    Columns: before, after, and the standard deviation, which is `-` for undetermined numbers. A
+    light whose distance does not show is at infinity, in a direction and at some distance at least.
     """
     lines = ["| parameter | object | before | after | +- |", "|---|---|---|---|---|"]
     deviations = fit.uncertainty.standard_deviations
@@ -42,8 +43,22 @@ def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
         for i, row in enumerate(zip(before, after, spread, strict=True)):
             if not free_rows[i].any():
                 continue
+            if name == "light_position" and fit.uncertainty.light_distance(i).infinite:
+                lines.append(f"| {name} | {kind} {i + 1} | {_numbers(row[0])} | {_far(fit, i)} |")
+                continue
             lines.append(f"| {name} | {kind} {i + 1} | {' | '.join(map(_numbers, row))} |")
     return "\n".join(lines) + "\n"
+
+
+def _far(fit: Fit, light: int) -> str:
+    """Returns where a light at infinity is, and how well its direction is known."""
+    middle, _ = bounding_sphere(fit.scene)
+    offset = np.asarray(fit.scene.lights.position[light] - middle, np.float64)
+    direction = _numbers(offset / np.linalg.norm(offset))
+    least = fit.uncertainty.light_distance(light).least
+    angle, _ = fit.uncertainty.of_light(0, light)
+    degrees = f"{np.degrees(angle):.2g} degrees" if np.isfinite(angle) else "-"
+    return f"at infinity (at least {least:.3g}, 95 %), toward {direction} | {degrees}"
 
 
 def _numbers(value: np.ndarray | np.floating) -> str:

@@ -11,13 +11,11 @@ conversion.
 """
 
 import os
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Array
 
-from ..base.errors import InputError, SceneError
+from ..base.errors import InputError
 from ..base.types import Highlight
 from ..base.vec import Vec
 from ..scene.camera import Camera, view_frame
@@ -29,13 +27,13 @@ from ..scene.texture import Texture
 from ..tracing.tables import SceneTables, build_tables
 from .atomic import write_text
 from .povray_image import declared_image
-
-_Number = float | np.floating
+from .povray_lights import FARTHEST, light_sources
+from .povray_words import Number, number, table_rows, vector
 
 # Least opacity 1 - kt that is written. POV-Ray multiplies ambient and diffuse light by the
 # opacity, and `_spheres` divides by it, so it must not be 0. A power of 2: colours are in float32.
 _LEAST_OPACITY = 2.0**-14
-_FARTHEST, _NEAREST = 1e7, 1e-3  # POV-Ray's MAX_DISTANCE and SHADOW_TOLERANCE
+_NEAREST = 1e-3  # POV-Ray's SHADOW_TOLERANCE
 
 _WRAPPED = """
 // A bitmap around a sphere at the origin, times a colour. POV-Ray would blend the picture's first
@@ -101,31 +99,13 @@ def povray_text(scene: Scene, *, highlight: Highlight = "phong", bounces: int = 
         *_camera(scene.camera),
         *_background(scene),
     ]
-    for position, color in _rows(scene.lights.position, scene.lights.color):
-        lines.append(f"light_source {{ {_vector(position)} rgb {_vector(color)} }}")
+    lines += light_sources(scene)
     for k in sorted(set(scene.spheres.pic) - {0}):
         lines.append(declared_image(f"Image{k}", scene.textures[k - 1]))
     lines += _spheres(scene, eye, highlight)
     lines += _planes(scene.planes, highlight)
     lines += _back_plane(scene)
     return "\n".join(lines) + "\n"
-
-
-def _number(x: _Number) -> str:
-    """Returns the shortest decimal that reads as the same number of its dtype."""
-    if not np.isfinite(x):
-        raise SceneError(f"a scene that holds {x} cannot be written for POV-Ray")
-    return str(x)
-
-
-def _vector(values: Iterable[_Number]) -> str:
-    """Returns a vector or a colour in POV-Ray's notation."""
-    return f"<{', '.join(_number(x) for x in values)}>"
-
-
-def _rows(*columns: Array) -> Iterator[tuple]:
-    """Yields the rows of a table of columns, as NumPy's numbers."""
-    return zip(*(np.asarray(column) for column in columns), strict=True)
 
 
 def _points(v: Vec) -> np.ndarray:
@@ -143,6 +123,9 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
         "POV-Ray has no coats: ior is left out, diffuse light is Lambert's": (
             bool(np.any(np.asarray(tables.materials.ior) != 1))
         ),
+        "planes cast and receive no directional light's shadow far outside of the spheres": (
+            tables.plane_count > 0 and any(scene.lights.directional)
+        ),
         "POV-Ray has its own antialiasing, +A": scene.antialias,
         f"kt counts as at most {1 - _LEAST_OPACITY}": (kt > 1 - _LEAST_OPACITY).any(),
         "rays that go straight through a sphere do not count as bounces": (
@@ -151,8 +134,8 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
         "far walls of transparent spheres that meet other objects or hold the eye": (
             any(_meets(tables, i, eye) for i in np.flatnonzero(kt > 0))
         ),
-        f"POV-Ray sees nothing farther than {_FARTHEST:g} units, the ends of planes neither": (
-            tables.plane_count > 0 or (from_eye > _FARTHEST).any()
+        f"POV-Ray sees nothing farther than {FARTHEST:g} units, the ends of planes neither": (
+            tables.plane_count > 0 or (from_eye > FARTHEST).any()
         ),
         f"POV-Ray drops the shadows of what is nearer than {_NEAREST:g} units": (
             (radius < 10 * _NEAREST).any()
@@ -183,7 +166,7 @@ def _settings(scene: Scene, bounces: int) -> list[str]:
         "global_settings {",
         "  assumed_gamma 1",
         "  charset utf8",
-        f"  ambient_light rgb {_vector(ambient)} // the mean of the lights",
+        f"  ambient_light rgb {vector(ambient)} // the mean of the lights",
         f"  max_trace_level {bounces + 1} // the ray from the eye counts",
         "  adc_bailout 0",
         "}",
@@ -194,15 +177,15 @@ def _camera(camera: Camera) -> list[str]:
     """Returns the camera, whose window has the height of the picture."""
     frame = view_frame(camera)
     axes = (frame.eye, frame.right, frame.up, frame.forward)
-    eye, right, up, forward = (_vector(_points(v)) for v in axes)
-    window, distance = next(_rows(camera.window[None], camera.distance[None]))
+    eye, right, up, forward = (vector(_points(v)) for v in axes)
+    window, distance = next(table_rows(camera.window[None], camera.distance[None]))
     return [
         "camera {",
         "  perspective",
         f"  location {eye}",
-        f"  right {right} * {_number(window)} * image_width / image_height",
-        f"  up {up} * {_number(window)}",
-        f"  direction {forward} * {_number(distance)}",
+        f"  right {right} * {number(window)} * image_width / image_height",
+        f"  up {up} * {number(window)}",
+        f"  direction {forward} * {number(distance)}",
         "}",
     ]
 
@@ -212,34 +195,34 @@ def _background(scene: Scene) -> list[str]:
     textures = [scene.textures[k - 1] for k in scene.spheres.pic if k]
     wrapped = [_WRAPPED] if textures or scene.sky is not None else []
     if scene.sky is None:
-        return [f"background {{ rgb {_vector(np.asarray(scene.background))} }}", *wrapped]
+        return [f"background {{ rgb {vector(np.asarray(scene.background))} }}", *wrapped]
     pigment = _wrapped("Sky", scene.sky, np.ones(3), 0.0)
     return [*wrapped, declared_image("Sky", scene.sky), f"sky_sphere {{ pigment {{ {pigment} }} }}"]
 
 
-def _wrapped(name: str, texture: Texture, color: np.ndarray, kt: _Number) -> str:
+def _wrapped(name: str, texture: Texture, color: np.ndarray, kt: Number) -> str:
     """Returns the pigment of a bitmap around a sphere; its y is the scene's z."""
     image = np.asarray(texture.image)
     steepest = 1 / np.tan(np.pi / 2 / image.shape[0])
     peak = max(1.0, float(image.max()))
-    return f"Wrapped({name}, {', '.join(_number(x) for x in (steepest, peak, *color, kt))})"
+    return f"Wrapped({name}, {', '.join(number(x) for x in (steepest, peak, *color, kt))})"
 
 
 def _finish(
-    ka: _Number, kd: _Number, ks: _Number, exponent: _Number, kgr: _Number, highlight: Highlight
+    ka: Number, kd: Number, ks: Number, exponent: Number, kgr: Number, highlight: Highlight
 ) -> str:
     """Returns the finish of a surface: its coefficients and its highlight."""
-    words = [f"ambient {_number(ka)} diffuse {_number(kd)}"]
+    words = [f"ambient {number(ka)} diffuse {number(kd)}"]
     if ks:
         if exponent == 0:
             # POV-Ray's phong is 0 where R.V < 0, also to the power 0; H.N is never negative there
-            words.append(f"specular {_number(ks)} roughness 1e10")
+            words.append(f"specular {number(ks)} roughness 1e10")
         elif highlight == "blinn":
-            words.append(f"specular {_number(ks)} roughness {_number(1 / exponent)}")
+            words.append(f"specular {number(ks)} roughness {number(1 / exponent)}")
         else:
-            words.append(f"phong {_number(ks)} phong_size {_number(exponent)}")
+            words.append(f"phong {number(ks)} phong_size {number(exponent)}")
     if kgr:
-        words.append(f"reflection {{ {_number(kgr)} }}")
+        words.append(f"reflection {{ {number(kgr)} }}")
     return f"finish {{ {' '.join(words)} }}"
 
 
@@ -248,17 +231,17 @@ def _spheres(scene: Scene, eye: np.ndarray, highlight: Highlight) -> list[str]:
     s: Spheres = scene.spheres
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
     lines = []
-    for row, pic in zip(_rows(*columns), s.pic, strict=True):
+    for row, pic in zip(table_rows(*columns), s.pic, strict=True):
         center, radius, color, ka, kd, ks, exponent, kgr, kt = row
         kt = min(kt, kt.dtype.type(1 - _LEAST_OPACITY))
         # POV-Ray dims ambient and diffuse light by 1 - kt, but not highlights and reflections
         finish = _finish(ka / (1 - kt), kd / (1 - kt), ks, exponent, kgr, highlight)
         if pic:
             pigment = _wrapped(f"Image{pic}", scene.textures[pic - 1], color, kt)
-            pigment += f" translate {_vector(center)}"
+            pigment += f" translate {vector(center)}"
         else:
-            pigment = f"rgbt {_vector([*color, kt])}" if kt else f"rgb {_vector(color)}"
-        shape = f"{_vector(center)}, {_number(radius)}"
+            pigment = f"rgbt {vector([*color, kt])}" if kt else f"rgb {vector(color)}"
+        shape = f"{vector(center)}, {number(radius)}"
         surface = f"pigment {{ {pigment} }} {finish}"
         if not kt:
             lines.append(f"sphere {{ {shape} {surface} }}")
@@ -282,11 +265,11 @@ def _planes(planes: Planes, highlight: Highlight) -> list[str]:
     p = planes
     columns = (p.point, p.normal, p.color, p.ka, p.kd, p.ks, p.exponent, p.kgr)
     lines = []
-    for row in _rows(*columns, p.checker_color, p.checker_size):
+    for row in table_rows(*columns, p.checker_color, p.checker_size):
         point, normal, color, ka, kd, ks, exponent, kgr, other_color, size = row
-        pigment = f"rgb {_vector(color)}"
+        pigment = f"rgb {vector(color)}"
         if size:
-            pigment = f"checker rgb {_vector(color)}, rgb {_vector(other_color)}"
+            pigment = f"checker rgb {vector(color)}, rgb {vector(other_color)}"
             pigment += f" {_squares(point, normal, size)}"
         finish = _finish(ka, kd, ks, exponent, kgr, highlight)
         lines.append(_plane(point, normal, pigment, finish))
@@ -297,11 +280,11 @@ def _plane(point: np.ndarray, normal: np.ndarray, pigment: str, finish: str) -> 
     """Returns one plane."""
     point, normal = np.asarray(point, np.float64), np.asarray(normal, np.float64)
     normal = normal / np.linalg.norm(normal)
-    height = _number(np.dot(point, normal))
-    return f"plane {{ {_vector(normal)}, {height} pigment {{ {pigment} }} {finish} }}"
+    height = number(np.dot(point, normal))
+    return f"plane {{ {vector(normal)}, {height} pigment {{ {pigment} }} {finish} }}"
 
 
-def _squares(point: np.ndarray, normal: np.ndarray, size: _Number) -> str:
+def _squares(point: np.ndarray, normal: np.ndarray, size: Number) -> str:
     """Returns the matrix that lays POV-Ray's cubes of side 1 into a plane.
 
     Squares are those of `Planes`. The plane cuts the cubes in their middle, as on their faces
@@ -314,7 +297,7 @@ def _squares(point: np.ndarray, normal: np.ndarray, size: _Number) -> str:
     along /= np.linalg.norm(along)
     axes = size * np.stack([along, np.cross(n, along), n])
     rows = [*axes.reshape(-1), *(point - axes[2] / 2)]
-    return f"matrix {_vector(rows)}"
+    return f"matrix {vector(rows)}"
 
 
 def _back_plane(scene: Scene) -> list[str]:
@@ -324,8 +307,8 @@ def _back_plane(scene: Scene) -> list[str]:
         return []
     frame = view_frame(scene.camera)
     middle = frame.eye + frame.forward * scene.camera.distance
-    color, ka, kd = next(_rows(back.color[None], back.ka[None], back.kd[None]))
+    color, ka, kd = next(table_rows(back.color[None], back.ka[None], back.kd[None]))
     zero = kd.dtype.type(0)
-    pigment, finish = f"rgb {_vector(color)}", _finish(ka, kd, zero, zero, zero, "phong")
+    pigment, finish = f"rgb {vector(color)}", _finish(ka, kd, zero, zero, zero, "phong")
     plane = _plane(_points(middle), -_points(frame.forward), pigment, finish)
     return ["// the view plane", plane]

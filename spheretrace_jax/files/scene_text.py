@@ -5,7 +5,11 @@ The grammar, with `//` comments to the end of the line and any white space betwe
     theta phi mu distance                 view: radians and world units, mu >= 0, distance > 0
     antialias                             0 or 1
     numlights                             then as many lines:
-      Lx Ly Lz [LR LG LB]                   a light's position and colour, white by default
+      Lx Ly Lz [LR LG LB] [directional] [falloff DISTANCE]
+                                            a light's position and colour, white by default;
+                                            of a directional light the direction toward it;
+                                            with a fall-off it has its colour at DISTANCE, and at
+                                            r that times (DISTANCE / r)^2
     numspheres                            then as many lines:
       cx cy cz radius R G B ka kd ks specExp kgr kt pic [ior]
 
@@ -19,10 +23,11 @@ and, in any order, lines that start with a keyword:
                                           a plane through p with normal n, any number of them
     window HEIGHT                         of the window on the view plane, 512 by default
 
-Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp >= 0, ior and N
->= 1 (1 by default: no coat), radius, HEIGHT and size > 0, the normal not 0. FILE is relative to the
-scene file; a name with spaces stands in double quotes. Every lecture file is valid: the first six
-numbers may stand on one line or many, and each light and sphere has one line.
+Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp and DISTANCE >= 0,
+ior and N >= 1 (1 by default: no coat), radius, HEIGHT and size > 0, normals and directions not 0. A
+directional light has no fall-off, and DISTANCE 0 is none. FILE is relative to the scene file; a
+name with spaces stands in double quotes. Every lecture file is valid: the first six numbers may
+stand on one line or many, and each light and sphere has one line.
 """
 
 import os
@@ -47,6 +52,7 @@ from .tokens import Token, Tokens, decode
 
 _COLOR = ("R", "G", "B")
 _POSITION = ("Lx", "Ly", "Lz")
+_LIGHT_WORDS = {"directional": 0, "falloff": 1}
 SPHERE_COLUMNS = ("cx", "cy", "cz", "radius", *_COLOR, "ka", "kd", "ks", "specExp", "kgr", "kt")
 _PLANE = ("px", "py", "pz", "nx", "ny", "nz", *_COLOR, "ka", "kd", "ks", "specExp", "kgr")
 _UNIT = {*_COLOR, "ka", "kd", "ks", "kgr", "kt"}
@@ -127,7 +133,8 @@ class _Reader:
         self.antialias = tokens.count(flag, "antialias")
         if self.antialias > 1:
             tokens.fail(flag, f"antialias must be 0 or 1, got {flag}")
-        self.lights = [self._light(row) for row in self._rows("numlights", "light", (3, 6))]
+        rows = self._rows("numlights", "light", (3, 6), _LIGHT_WORDS)
+        self.lights = [self._light(row) for row in rows]
         self.spheres = [self._sphere(row) for row in self._rows("numspheres", "sphere", (14, 15))]
         self._keywords()
         for token, pic in self.pics:
@@ -137,8 +144,18 @@ class _Reader:
                 )
         return self
 
-    def _rows(self, count_name: str, row: str, counts: tuple[int, ...]) -> Iterator[list[Token]]:
-        """Yields the tokens of each row, as many rows as a count says."""
+    def _rows(
+        self,
+        count_name: str,
+        row: str,
+        counts: tuple[int, ...],
+        words: dict[str, int] | None = None,
+    ) -> Iterator[list[Token]]:
+        """Yields the tokens of each row, as many rows as a count says.
+
+        **Arguments:** `words`: those that may follow the columns of a row, and how many numbers
+        come after each.
+        """
         tokens = self.tokens
         token = tokens.take()
         count = tokens.count(token, count_name)
@@ -147,14 +164,26 @@ class _Reader:
             name = f"{row} {i + 1} of {count}"
             if not tokens.peek.text or tokens.peek.text in self._KEYWORDS:
                 tokens.fail(tokens.peek, f"expected {name}, got {tokens.peek}")
-            yield [tokens.take(), *tokens.rest(counts, name, had=1)]
+            yield [tokens.take(), *tokens.rest(counts, name, had=1, words=words)]
 
-    def _light(self, row: list[Token]) -> list[float]:
-        """Reads a light, by default white."""
-        values = [self.tokens.number(t, name) for t, name in zip(row, _POSITION, strict=False)]
-        for token, name in zip(row[3:], ("LR", "LG", "LB"), strict=False):
-            values.append(self.tokens.between(token, name, 0, np.inf))
-        return values if len(values) == 6 else [*values, 1.0, 1.0, 1.0]
+    def _light(self, row: list[Token]) -> tuple[list[float], bool]:
+        """Reads a light, by default white: its numbers, and whether it is directional."""
+        tokens, numbers = self.tokens, row
+        words = {token.text: k for k, token in enumerate(row) if token.text in _LIGHT_WORDS}
+        numbers = row[: min(words.values(), default=len(row))]
+        values = [tokens.number(t, name) for t, name in zip(numbers, _POSITION, strict=False)]
+        for token, name in zip(numbers[3:], ("LR", "LG", "LB"), strict=False):
+            values.append(tokens.between(token, name, 0, np.inf))
+        values = values if len(values) == 6 else [*values, 1.0, 1.0, 1.0]
+        directional, falloff = "directional" in words, 0.0
+        if "falloff" in words:
+            token = row[words["falloff"] + 1]
+            falloff = tokens.between(token, "DISTANCE", 0, np.inf)
+            if directional and falloff:
+                tokens.fail(row[words["falloff"]], "a directional light has no falloff")
+        if directional and not any(values[:3]):
+            tokens.fail(row[0], "the direction Lx Ly Lz of a directional light must not be 0 0 0")
+        return [*values, falloff], directional
 
     def _sphere(self, row: list[Token]) -> list[float]:
         """Reads a sphere, and warns if ka + kd > 1."""
@@ -257,7 +286,9 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
     def table(rows: list[list[float]], columns: int) -> np.ndarray:
         return np.asarray(rows, dtype).reshape(len(rows), columns)
 
-    spheres, lights = table(reader.spheres, 14), table(reader.lights, 6)
+    spheres = table(reader.spheres, 14)
+    lights = table([numbers for numbers, _ in reader.lights], 7)
+    directional = [far for _, far in reader.lights]
     planes, back = table(reader.planes, 19), reader.back_plane
     pics = [pic for _, pic in reader.pics]
     texture = partial(_read_texture, reader.tokens, folder)
@@ -270,7 +301,7 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
             pic=pics,
             ior=spheres[:, 13],
         ),
-        Lights(lights[:, :3], lights[:, 3:]),
+        Lights(lights[:, :3], lights[:, 3:6], directional, lights[:, 6]),
         Camera(*(np.asarray(value, dtype) for value in (*reader.view, reader.window))),
         Planes(
             planes[:, :3],

@@ -46,10 +46,12 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
         f"{len(scene.lights)} // numlights",
     ]
     white = np.ones(3)
-    for position, color in zip(scene.lights.position, scene.lights.color, strict=True):
-        lines.append(
-            _words(position) + ("" if np.array_equal(color, white) else " " + _words(color))
-        )
+    lights = scene.lights
+    rows = zip(lights.position, lights.color, lights.directional, lights.falloff, strict=True)
+    for position, color, directional, falloff in rows:
+        line = _words(position) + ("" if np.array_equal(color, white) else " " + _words(color))
+        line += " directional" if directional else ""
+        lines.append(line + (f" falloff {_words(falloff)}" if falloff else ""))
     coated = " ior" if np.any(np.asarray(s.ior) != 1) else ""
     lines += [f"{len(s)} // numspheres", f"//{' '.join(SPHERE_COLUMNS)} pic{coated}"]
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)

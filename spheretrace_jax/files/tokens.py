@@ -91,22 +91,45 @@ class Tokens:
         if not self.line_ends:
             self.fail(self.peek, f"expected the end of the line after {row}, got {self.peek}")
 
-    def rest(self, counts: tuple[int, ...], row: str, had: int = 0) -> list[Token]:
+    def rest(
+        self,
+        counts: tuple[int, ...],
+        row: str,
+        had: int = 0,
+        words: dict[str, int] | None = None,
+    ) -> list[Token]:
         """Takes the remaining tokens of the line.
 
         **Arguments:** `counts`: the possible numbers of columns of the `row`. `had`: the number of
-        columns taken before.
+        columns taken before. `words`: those that may follow the columns, each once, and how many
+        numbers come after each.
 
         **Raises:** `SceneError` for other numbers of columns.
         """
-        tokens, most = [], max(counts) - had
-        while len(tokens) < most and not self.line_ends:
+        tokens, most, words = [], max(counts) - had, words or {}
+        while len(tokens) < most and not self.line_ends and self.peek.text not in words:
             tokens.append(self.take())
-        self.end_line(row)
+        if not words or self.peek.text not in words:
+            self.end_line(row)
         if had + len(tokens) not in counts:
             end = Token("", self.last.line, self.last.column + len(self.last.text))
             wanted = "1 column" if counts == (1,) else f"{' or '.join(map(str, counts))} columns"
             self.fail(end, f"expected {wanted} for {row}, got {had + len(tokens)}")
+        return [*tokens, *self._words_after(words, row)]
+
+    def _words_after(self, words: dict[str, int], row: str) -> list[Token]:
+        """Takes the words that follow the columns of a row, and their numbers."""
+        tokens, left = [], dict(words)
+        while left and not self.line_ends:
+            if self.peek.text not in left:
+                self.fail_spelling(self.peek, f"{' or '.join(left)} or the end of the line")
+            word = self.take()
+            tokens.append(word)
+            for _ in range(left.pop(word.text)):
+                if self.line_ends:
+                    self.fail(self.peek, f"expected a number after {word}, got {self.peek}")
+                tokens.append(self.take())
+        self.end_line(row)
         return tokens
 
     def number(self, token: Token, name: str) -> float:

@@ -32,6 +32,7 @@ from .solver.gauge import GAUGES, Gauge, fix_gauge
 from .solver.levenberg_marquardt import BoundedLevenbergMarquardt, tolerances
 from .solver.light_search import Start, problem_starts
 
+#: What is free by default where all lights are at points.
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
 
 #: The structured residual, as a part of a picture's root-mean-square, up to which a fit is usable:
@@ -155,7 +156,7 @@ def fit(
     scene: Scene | Sequence[Scene],
     target: Any,
     *,
-    free: Free = DEFAULT_FREE,
+    free: Free | None = None,
     own: Sequence[str] = (),
     tie: Mapping[str, Any] | None = None,
     bounds: Mapping[str, Any] | None = None,
@@ -201,20 +202,23 @@ def fit(
       there are scenes. uint8, uint16 and floating numbers over 0..255 or 0..65535 are divided by
       these, with a warning; other arguments then speak of numbers up to 1.
     - `free`: among `color ka kd ks exponent kgr kt ior center radius` (of all spheres),
-      `light_position light_color` (of all lights), `theta phi mu distance` (of the camera) and
-      `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01, an
-      index of refraction of 1 as 1.5; the latter ends in 1..2.5. For centers, radii and the camera
-      the scene's antialias flag must be 1, or no derivative tells how edges move.
+      `light_position` (of lights at points), `light_direction` (of directional ones),
+      `light_color`, `theta phi mu distance` (of the camera) and `exposure` (a factor per channel of
+      the whole picture); by default color, ka, kd, ks and where all lights are. An exponent of 0
+      starts as 0.01, an index of refraction of 1 as 1.5; the latter ends in 1..2.5. For centers,
+      radii and the camera the scene's antialias flag must be 1, or no derivative tells how edges
+      move.
       A mapping says which objects' numbers are: `{"color": [0, 2], "kd": True}` holds all other
       colours. Values are True, False, indices, or a boolean array of shape `(objects,)` or the
       parameter's own.
     - `tie`: what objects share: `{"kd": [[0, 1, 2]]}` gives three spheres one kd, `{"kd": True}`
       all of them. Tied parameters must start alike.
     - `bounds`: `{"radius": (50, 120)}` keeps numbers between two, in the scene's units; each may be
-      an array with a number for each object, -inf and inf for none. Not for `light_position`.
+      an array with a number for each object, -inf and inf for none. Not for where lights are.
     - `priors`: `{"kd": (mean, sigma)}` adds ((kd - mean) / sigma)² / 2 to the cost, for each number
       or each tied group: a Gaussian prior of standard deviation sigma, in the scene's units. Needs
-      `noise`. Standard deviations and what is determined then count the priors.
+      `noise`. Standard deviations and what is determined then count the priors. Not for
+      `light_direction`.
     - `own`: which of these have a value for each picture, among those of lights and camera;
       parameters that start differently must be named here. Each picture has its exposure.
     - `highlight`, `bounces`, `samples`: as for `render`.

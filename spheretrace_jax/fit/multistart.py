@@ -9,6 +9,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Bool, PyTree
 
+from ..scene.parameters import LIGHT_PLACES, rows_of
 from ..scene.scene import Scene
 from .diagnosis.outliers import find_outliers, resting_on_outliers
 from .diagnosis.residual_structure import explains
@@ -117,7 +118,8 @@ def _suspect(scene: Scene, parameters: Parameters) -> Bool[np.ndarray, " lights"
     center, radius = (np.asarray(x) for x in (scene.spheres.center, scene.spheres.radius))
     offset = np.asarray(scene.lights.position)[:, None] - center[None]
     near = (np.linalg.norm(offset, axis=-1) < _NEAR * radius[None]).any(axis=1)
-    return near & parameters.free_numbers("light_position").any(axis=1)
+    free = parameters.free_numbers("light_position").any(axis=1)
+    return near & free & rows_of(scene, "light_position")
 
 
 def _from_afar(found: Found) -> Problem:
@@ -170,7 +172,9 @@ def _may_jump(found: Found, noise_given: bool) -> bool:
     """Tells whether edges of shadows may hold lights: those of single rays have no derivative."""
     shadows = any(s.needs.shadows and not s.antialias for s in found.problem.settings)
     noise_known = not _estimates_noise(found.problem, noise_given)
-    return shadows and noise_known and found.converged and "light_position" in found.values
+    return (
+        shadows and noise_known and found.converged and bool(set(LIGHT_PLACES) & set(found.values))
+    )
 
 
 def _rests_on_outliers(found: Found, noise_given: bool) -> bool:

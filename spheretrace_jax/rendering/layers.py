@@ -30,7 +30,7 @@ from .samples import sample_positions, trace_strips
 # What a picture of black objects before a white background does not need.
 _NOT_NEEDED = (
     "shadows", "highlights", "reflection", "transmission", "branching", "dark_paths", "textures",
-    "checkers", "tinted", "colors", "coated",
+    "checkers", "tinted", "colors", "coated", "falloff",
 )  # fmt: skip
 
 

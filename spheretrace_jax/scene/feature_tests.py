@@ -5,6 +5,7 @@ is none, which costs time, but never misses a feature.
 """
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from .scene import Scene
 
@@ -43,8 +44,9 @@ def objects_cross(scene: Scene) -> bool:
 def unshadowed_lights(scene: Scene) -> tuple[int, ...]:
     """Finds the lights that no object can block from any other object, seen from outside.
 
-    A sphere fills a cone of the directions from a light. The sphere can only block the light from
-    spheres whose cones meet this cone, and whose far ends lie beyond the sphere's near end.
+    A sphere fills a cone of the directions from a light, or a cylinder along the way to a
+    directional one. The sphere can only block the light from spheres whose cones meet this cone,
+    and whose far ends lie beyond the sphere's near end.
 
     **Returns:** the lights' numbers, from 0.
     """
@@ -52,23 +54,51 @@ def unshadowed_lights(scene: Scene) -> tuple[int, ...]:
     if scene.objects > len(radius) or len(radius) > _MOST_SHADOWING:
         return ()
     clear = []
-    for k, light in enumerate(np.asarray(scene.lights.position, np.float64)):
-        to_center = center - light
-        # a pixel's rounding must not decide either
-        slack = 1e3 * np.finfo(scene.dtype).eps * (np.linalg.norm(center, axis=1) + radius)
-        distance, bound = np.linalg.norm(to_center, axis=1), radius + slack
-        if (distance <= bound).any():
-            continue
-        axis = to_center / distance[:, None]
-        sine = np.linalg.norm(np.cross(axis[:, None], axis[None]), axis=-1)
-        angle = np.arctan2(sine, axis @ axis.T)
-        half_angle = np.arcsin(bound / distance)
-        cones_meet = angle <= (half_angle[:, None] + half_angle[None]) * (1 + 1e-6)
-        nearer = (distance - bound)[:, None] < (distance + bound)[None]
-        np.fill_diagonal(cones_meet, False)
-        if not (cones_meet & nearer).any():
+    # a pixel's rounding must not decide either
+    slack = 1e3 * np.finfo(scene.dtype).eps * (np.linalg.norm(center, axis=1) + radius)
+    bound = radius + slack
+    places = np.asarray(scene.lights.position, np.float64)
+    for k, (light, directional) in enumerate(zip(places, scene.lights.directional, strict=True)):
+        may_block = _cylinders_meet if directional else _cones_meet
+        if not may_block(center, bound, light).any():
             clear.append(k)
     return tuple(clear)
+
+
+def _cones_meet(
+    center: Float[np.ndarray, "n 3"], bound: Float[np.ndarray, " n"], light: Float[np.ndarray, " 3"]
+) -> Bool[np.ndarray, "n n"]:
+    """Tests which spheres may block a light at a point from which; all if it is in a sphere."""
+    to_center = center - light
+    distance = np.linalg.norm(to_center, axis=1)
+    if (distance <= bound).any():
+        return np.full((len(bound), len(bound)), True)
+    axis = to_center / distance[:, None]
+    sine = np.linalg.norm(np.cross(axis[:, None], axis[None]), axis=-1)
+    angle = np.arctan2(sine, axis @ axis.T)
+    half_angle = np.arcsin(bound / distance)
+    cones_meet = angle <= (half_angle[:, None] + half_angle[None]) * (1 + 1e-6)
+    nearer = (distance - bound)[:, None] < (distance + bound)[None]
+    np.fill_diagonal(cones_meet, False)
+    return cones_meet & nearer
+
+
+def _cylinders_meet(
+    center: Float[np.ndarray, "n 3"], bound: Float[np.ndarray, " n"], light: Float[np.ndarray, " 3"]
+) -> Bool[np.ndarray, "n n"]:
+    """Tests which spheres may block a directional light from which."""
+    largest = np.abs(light).max()
+    if not largest > 0:
+        return np.full((len(bound), len(bound)), True)
+    axis = light / largest
+    axis = axis / np.linalg.norm(axis)
+    apart = center[:, None] - center[None]
+    along = apart @ axis
+    across = np.linalg.norm(apart - along[..., None] * axis, axis=-1)
+    reach = bound[:, None] + bound[None]
+    meet = (across <= reach * (1 + 1e-6)) & (along > -reach)
+    np.fill_diagonal(meet, False)
+    return meet
 
 
 def any_colored(*colors: object) -> bool:

@@ -16,7 +16,7 @@ from ..base.errors import InputError
 from ..base.types import Index
 from . import feature_tests
 from .arrays import check_refraction, is_traced
-from .parameters import parameter_names, traced_names
+from .parameters import LIGHT_PLACES, parameter_names, traced_names
 from .scene import Scene, check_scene
 
 
@@ -39,6 +39,7 @@ class Needs:
     crossings: bool = True  #: objects may cross (an edge, where edges are covered)
     tinted: bool = True  #: a light's red, green and blue differ
     colors: bool = True  #: red, green and blue of a light or a colour differ
+    falloff: bool = True  #: a light at a point grows dimmer with its distance
     clear: tuple[int, ...] = ()  #: lights that no object can block: no shadow pass
     depth: int | None = None  #: bounces after which no ray meets an object; None: no limit
 
@@ -92,7 +93,7 @@ def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
     objects, lights = scene.objects, len(scene.lights)
     moving = free & {"center", "radius", "theta", "phi", "mu"}
     inside = bool(kt.any() or (len(spheres) and (moving or feature_tests.eye_inside(scene))))
-    moves = inside or free & {"center", "radius", "light_position"}
+    moves = inside or free & {"center", "radius", *LIGHT_PLACES}
     clear = () if moves else feature_tests.unshadowed_lights(scene)
     background = bool(
         scene.sky is not None or "background" in free or np.asarray(scene.background).any()
@@ -123,6 +124,7 @@ def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
         crossings=bool(scene.antialias) and bool(cross),
         tinted=tinted,
         colors=tinted or bool(colors),
+        falloff=_falls_off(scene, free),
         clear=clear if len(clear) < lights else (),
         # the only object is convex: its mirrored rays see the sky
         depth=None if objects > 1 or inside else int(background),
@@ -153,6 +155,14 @@ def _differs(
     if name in free:
         return np.full(sum(len(value) for value in values), True)
     return np.concatenate([np.asarray(value) for value in values]) != plain
+
+
+def _falls_off(scene: Scene, free: frozenset[str]) -> bool:
+    """Tells whether a light at a point may have a fall-off."""
+    near, falloff = scene.lights.numbers(directional=False), scene.lights.falloff
+    if not near:
+        return False
+    return "light_falloff" in free or bool(np.asarray(falloff)[near].any())
 
 
 def _any_nonzero(value: Array) -> bool:
@@ -198,6 +208,7 @@ def left_out(scene: Scene) -> list[tuple[str, bool, str]]:
         ),
         "tinted": ("a light is coloured", "every light is white or grey"),
         "colors": ("something is coloured", "everything is white or grey: one channel"),
+        "falloff": ("a light has a fall-off", "no light has a fall-off"),
     }
     flags = dataclasses.asdict(needed) | {"antialias": bool(scene.antialias)}
     return [(name, flags[name], reasons[not flags[name]]) for name, reasons in table.items()]

@@ -9,6 +9,9 @@ import math
 from collections.abc import Iterable
 from typing import Any, Literal
 
+import numpy as np
+from jaxtyping import Bool
+
 from ..base.errors import InputError
 from .arrays import is_traced
 from .scene import Scene
@@ -64,7 +67,9 @@ PARAMETERS = (
     Parameter("center", "spheres", moves_silhouettes=True, fitted=True),
     Parameter("radius", "spheres", "positive", moves_silhouettes=True, fitted=True),
     Parameter("light_position", "lights", attribute="position", fitted=True),
+    Parameter("light_direction", "lights", attribute="position", fitted=True),
     Parameter("light_color", "lights", "nonnegative", attribute="color", fitted=True),
+    Parameter("light_falloff", "lights", "nonnegative", attribute="falloff"),
     Parameter("theta", "camera", moves_silhouettes=True, fitted=True),
     Parameter("phi", "camera", moves_silhouettes=True, fitted=True),
     Parameter("mu", "camera", "positive", moves_silhouettes=True, fitted=True),
@@ -87,9 +92,23 @@ PARAMETERS = (
 #: Those that a fit may set free, by name.
 FITTED = {p.name: p for p in PARAMETERS if p.fitted}
 
-# `needs` takes two names besides: `position`, the attribute of the lights, and `pic`, which is
-# static. Neither switches code on.
-_ACCEPTED = frozenset(p.name for p in PARAMETERS) | {"position", "pic"}
+#: The names of where lights are: of those at points, and of directional ones. Both stand for rows
+#: of one array, `Lights.position`.
+LIGHT_PLACES = ("light_position", "light_direction")
+
+# `needs` takes three names besides: `position` and `directional` of the lights, and `pic`. None of
+# them switches code on.
+_ACCEPTED = frozenset(p.name for p in PARAMETERS) | {"position", "directional", "pic"}
+
+
+def rows_of(scene: Scene, name: str) -> Bool[np.ndarray, " lights"]:
+    """Tells which lights one of `LIGHT_PLACES` is of: those at points, or directional ones."""
+    return np.array([far == (name == "light_direction") for far in scene.lights.directional], bool)
+
+
+def light_places(scene: Scene) -> tuple[str, ...]:
+    """Returns those of `LIGHT_PLACES` that a scene's lights have; of no lights the first."""
+    return tuple(n for n in LIGHT_PLACES if rows_of(scene, n).any()) or LIGHT_PLACES[:1]
 
 
 def parameter_names(names: Iterable[str]) -> frozenset[str]:

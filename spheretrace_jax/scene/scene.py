@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ..base.errors import InputError
 from .arrays import check_shapes, converted, described, floats, is_traced, precision, with_one_dtype
 from .camera import Camera
-from .lights import Lights
+from .lights import Lights, check_directional
 from .planes import BackPlane, Planes
 from .spheres import Spheres, check_pic
 from .summary import summary
@@ -115,6 +115,7 @@ def check_scene(scene: Any) -> Scene:
     for name, part, _ in _parts(scene):
         arrays |= check_shapes(f"{name}.", part)
     check_pic(scene.spheres)
+    check_directional(scene.lights)
     for name, array in arrays.items():
         if name.endswith(".image") and 0 in array.shape:
             raise InputError(f"{name} must hold a pixel or more, got shape {array.shape}")

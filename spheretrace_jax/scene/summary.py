@@ -52,9 +52,13 @@ def camera_line(scene: Any) -> str:
 
 
 def light_line(scene: Any, light: int) -> str:
-    """Returns a light's number, from 1, its position and its colour."""
-    position, color = scene.lights.position[light], scene.lights.color[light]
-    return f"light {light + 1}: at {short(position)}, color {short(color)}"
+    """Returns a light's number, from 1, its position or direction, its colour and fall-off."""
+    lights = scene.lights
+    where = "toward" if lights.directional[light] else "at"
+    line = f"light {light + 1}: {where} {short(lights.position[light])}"
+    line += f", color {short(lights.color[light])}"
+    falloff = float(lights.falloff[light])
+    return f"{line} at a distance of {falloff:g}" if falloff else line
 
 
 def short(value: ArrayLike) -> str:

@@ -15,8 +15,9 @@ from jax import lax
 from ..acceleration.binning import Visitor
 from ..acceleration.sphere_blocks import PixelCone
 from ..base.types import Mask, PixelArray
-from ..base.vec import Vec, norm, unit
+from ..base.vec import Vec
 from ..scene.camera import Ray
+from ..scene.light import Light
 from .context import Candidates, TraceContext
 from .hit import Hit
 
@@ -62,15 +63,14 @@ def nearest_in_cone(
     return partial(accelerator.sphere_blocks.visit_each, cone, max_distance, True)
 
 
-def shadow_cone(light: Vec, point: Vec, radius: PixelArray, alive: Mask) -> PixelCone:
+def shadow_cone(light: Light, point: Vec, radius: PixelArray, alive: Mask) -> PixelCone:
     """Returns what balls around surface points see of the way to a light."""
-    to_light = light - point
-    ray = Ray(point, unit(to_light))
-    return PixelCone(ray, radius, jnp.zeros_like(radius), alive, -radius, norm(to_light))
+    ray, end = Ray(point, light.direction(point)), light.distance(point)
+    return PixelCone(ray, radius, jnp.zeros_like(radius), alive, -radius, end)
 
 
 def shadow_candidates(
-    context: TraceContext, light: Vec, cone: PixelCone, done: Callable[[T], Mask]
+    context: TraceContext, light: Light, cone: PixelCone, done: Callable[[T], Mask]
 ) -> Candidates | None:
     """Returns the spheres between a light and what a picture's pixels show; None for all spheres.
 

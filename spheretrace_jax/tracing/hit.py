@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from ..base.types import Ids, Mask, PixelArray
 from ..base.vec import Vec, dot, norm
+from ..scene.light import Light
 from .differential import Differential
 
 
@@ -27,14 +28,28 @@ class ShadowSegment(eqx.Module):
     """The open segments from surface points to one light."""
 
     point: Vec  #: P
-    light: Vec  #: the light's position, scalars
-    to_light: Vec  #: light - P
-    square: PixelArray  #: |light - P|^2
+    light: Light
+    to_light: Vec  #: light - P; the unit vector toward a directional light
+    square: PixelArray  #: |to_light|^2
+
+    def ends_after(self, along: PixelArray) -> Mask | bool:
+        """Tests whether the light lies behind points of the segments' lines.
+
+        **Arguments:** `along`: from P to these points, times to_light.
+        """
+        return True if self.light.directional else along < self.square
+
+    def narrowed(self, radius: PixelArray, along: PixelArray) -> PixelArray:
+        """Returns how wide a ball around P is at points of the segments, seen from the light.
+
+        **Arguments:** `along`: as for `ends_after`.
+        """
+        return radius if self.light.directional else radius - along * (radius / self.square)
 
 
-def shadow_segment(point: Vec, light: Vec) -> ShadowSegment:
-    """Returns the segments from surface points to a light's position."""
-    to_light = light - point
+def shadow_segment(point: Vec, light: Light) -> ShadowSegment:
+    """Returns the segments from surface points to a light; rays if that is infinitely far away."""
+    to_light = light.toward(point)
     return ShadowSegment(point, light, to_light, dot(to_light, to_light))
 
 
@@ -70,8 +85,8 @@ class ShadowedPixel(eqx.Module):
 
     point: Differential[Vec]  #: the surface at the middle of what is visible, with derivatives
     middle: tuple[PixelArray, PixelArray]  #: that middle, pixels right and down of the centre
-    light: Vec
-    light_distance: PixelArray  #: from the point to the light
+    light: Light
+    light_distance: PixelArray  #: from the point to the light, which may be infinite
 
     @property
     def footprint(self) -> PixelArray:

@@ -1,6 +1,6 @@
 """Materials: the colour of a surface point by the lecture's formula, textures and the background.
 
-C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
+C = ka A S + sum over lights l of  lit_l C_l f_l (kd (N.L_l) S + ks highlight_l)
 """
 
 from collections.abc import Callable
@@ -13,6 +13,7 @@ from jax import lax
 
 from ..base.types import Ids, PixelArray
 from ..base.vec import Vec, grey, vec, where
+from ..scene.light import Light, make_light
 from ..scene.scene import Scene
 from .context import TraceContext
 from .hit import Hit, Surface
@@ -22,8 +23,8 @@ from .texture import lookup, second_square, sphere_uv, texture_color
 #: Up to this many lights are written out; more are a loop, which compiles in the time of one.
 MOST_LIGHTS = 4
 
-LightTerms = Callable[[Vec, bool], tuple[PixelArray, PixelArray]]
-"""From a light's position, and whether objects may stand in its way, to lit N.L and highlight."""
+LightTerms = Callable[[Light, bool], tuple[PixelArray, PixelArray]]
+"""From a light, and whether objects may stand in its way, to lit N.L and highlight, faded."""
 
 
 def finish_of(context: TraceContext, ids: Ids) -> Finish:
@@ -40,7 +41,7 @@ def finish_of(context: TraceContext, ids: Ids) -> Finish:
 def sum_lights(
     context: TraceContext, shape: tuple[int, ...], terms: LightTerms, most: int = MOST_LIGHTS
 ) -> tuple[Vec, Vec]:
-    """Sums C_l lit_l (N.L_l) and C_l lit_l highlight_l over all lights.
+    """Sums C_l lit_l f_l (N.L_l) and C_l lit_l f_l highlight_l over all lights.
 
     **Arguments:** `shape`: of the terms. `most`: of more lights than these a loop is made.
     """
@@ -50,27 +51,34 @@ def sum_lights(
     dark = jnp.zeros(shape, context.dtype)
     dark = grey(dark) if needs.tinted else dark
 
-    def add_light(sums: tuple[Any, Any], light: tuple, shadows: bool) -> tuple[tuple, None]:
-        diffuse, shine = terms(vec(light[0]), shadows)
-        color = color_of(light[1])
+    def add_light(
+        sums: tuple[Any, Any], row: tuple, shadows: bool, directional: bool
+    ) -> tuple[tuple, None]:
+        position, falloff, color = row
+        diffuse, shine = terms(make_light(position, falloff, directional), shadows)
+        color = color_of(color)
         return (sums[0] + color * diffuse, sums[1] + color * shine), None
+
+    def rows(at: Any, directional: bool) -> tuple:
+        falloff = lights.falloff[at] if needs.falloff and not directional else None
+        return lights.position[at], falloff, lights.color[at]
 
     sums: tuple[Any, Any] = (dark, dark)
     if len(lights) <= most:
-        for i in range(len(lights)):
-            light = lights.position[i], lights.color[i]
-            sums, _ = add_light(sums, light, needs.shadows_of(i))
+        for i, far in enumerate(lights.directional):
+            sums, _ = add_light(sums, rows(i, far), needs.shadows_of(i), far)
     else:
-        for shadows in (False, True):
-            alike = [i for i in range(len(lights)) if needs.shadows_of(i) == shadows]
-            if alike:
-                light = lights.position[np.array(alike)], lights.color[np.array(alike)]
-                sums, _ = lax.scan(partial(add_light, shadows=shadows), sums, light)
+        for far in (False, True):
+            for shadows in (False, True):
+                alike = [i for i in lights.numbers(far) if needs.shadows_of(i) == shadows]
+                if alike:
+                    add = partial(add_light, shadows=shadows, directional=far)
+                    sums, _ = lax.scan(add, sums, rows(np.array(alike), far))
     return sums if needs.tinted else (grey(sums[0]), grey(sums[1]))
 
 
 def local_color(context: TraceContext, hit: Hit, surface: Surface, sums: tuple[Vec, Vec]) -> Vec:
-    """Returns C = ka A S + sum_l lit_l C_l (kd (N.L_l) S + ks highlight_l) at a hit.
+    """Returns C = ka A S + sum_l lit_l C_l f_l (kd (N.L_l) S + ks highlight_l) at a hit.
 
     **Arguments:** `sums`: those of `sum_lights`.
     """

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from ..base.types import Ids, Index, Mask, PixelArray
 from ..base.vec import Vec, grey, reflect, where, zeros
 from ..scene.camera import Ray
+from ..scene.light import Light
 from ..scene.settings import RenderSettings
 from ..xla.rematerialization import save_residuals
 from .cone import RayCone, next_cone
@@ -67,15 +68,15 @@ def light_terms_at(
     context: TraceContext,
     ray: Ray,
     hit: Hit,
-    light: Vec,
+    light: Light,
     shadows: bool,
     finish: Finish | None = None,
     surface: Surface | None = None,
 ) -> tuple[PixelArray, PixelArray]:
     """Returns N.L and the highlight of one light at hits, 0 where the light does not reach.
 
-    **Arguments:** `light`: its position. `shadows`: false where no object can stand in its way.
-    `finish`: None for that of the objects. `surface`: None for that where the rays hit.
+    **Arguments:** `shadows`: false where no object can stand in the light's way. `finish`: None
+    for that of the objects. `surface`: None for that where the rays hit.
     """
     highlight = context.settings.highlight if context.needs.highlights else None
     lit = hit.id >= 0

@@ -157,9 +157,9 @@ def closest_hit(scene: Scene, E: Vectors, D: Vectors, source: Hit | None = None)
 def light_visible(scene: Scene, P: Vectors, L: Vectors, distance: Numbers, hit: Hit) -> Mask:
     """Tests for shadow: whether the segment from P to a light meets no other object.
 
-    It meets one if a root t of the ray P + t L is between 0 and the light's distance, also where P
-    or the light is in a sphere. The sphere that P is on counts only if P is on its inside: from
-    its outside, N.L < 0 where it is in the way.
+    It meets one if a root t of the ray P + t L is between 0 and the light's distance, which is
+    infinite for a directional light, also where P or the light is in a sphere. The sphere that P
+    is on counts only if P is on its inside: from its outside, N.L < 0 where it is in the way.
     """
     blocked = jnp.full(distance.shape, False)
     between = lambda t: (t > 0) & (t < distance)
@@ -264,23 +264,32 @@ def transmitted(c: Numbers, n: Numbers) -> Numbers:
 def shade(
     scene: Scene, P: Vectors, N: Vectors, V: Vectors, hit: Hit, highlight: Highlight
 ) -> Vectors:
-    """Shades points: C = ka A S + sum over lights l of lit_l C_l (kd (N.L_l) S + ks highlight_l).
+    """Shades points: C = ka A S + sum over l of lit_l C_l f_l (kd (N.L_l) S + ks highlight_l).
 
-    C_l is a light's colour, A the mean of all. lit_l is 1 where N.L_l > 0 and P sees the light. A
-    coat lets (1 - F(N.L_l)) (1 - F(N.V)) of N.L_l through (Wolff, JOSA A 11(11), 1994).
+    C_l is a light's colour, A the mean of all. lit_l is 1 where N.L_l > 0 and P sees the light.
+    f_l is 1, or (falloff / r)^2 at the distance r of a light with a fall-off. A coat lets
+    (1 - F(N.L_l)) (1 - F(N.V)) of N.L_l through (Wolff, JOSA A 11(11), 1994).
     """
     ka, kd, ks, n = (material(scene, name, hit) for name in ("ka", "kd", "ks", "exponent"))
     S, ior = surface_color(scene, P, N, hit), jnp.where(hit.id < 0, 2, material(scene, "ior", hit))
     A = jnp.sum(scene.lights.color, axis=0)[None] / max(len(scene.lights), 1)
     C = ka * A * S
-    for light, C_l in zip(scene.lights.position, scene.lights.color, strict=True):
-        L, distance = unit(light[None] - P), length(light[None] - P)
+    lights = scene.lights
+    rows = zip(lights.position, lights.color, lights.falloff, lights.directional, strict=True)
+    for light, C_l, falloff, directional in rows:
+        if directional:  # the same L everywhere, and nothing lies behind the light
+            L, distance = unit(light[None]), jnp.full_like(P[:, :1], jnp.inf)
+            L = jnp.broadcast_to(L, P.shape)
+        else:
+            L, distance = unit(light[None] - P), length(light[None] - P)
         lit = (dot(N, L) > 0) & light_visible(scene, P, L, distance, hit)
         diffuse = dot(N, L)
         if some(scene.spheres.ior - 1, scene.planes.ior - 1):
             diffuse *= transmitted(jnp.where(lit, diffuse, 1), ior) * transmitted(dot(N, V), ior)
         local = kd * diffuse * S + ks * highlight_term(N, L, V, n, highlight)
-        C = C + jnp.where(lit, C_l[None] * local, 0)
+        fades = falloff > 0
+        ratio = jnp.where(fades, falloff, 1) / jnp.where(fades, distance, 1)
+        C = C + jnp.where(lit, C_l[None] * ratio**2 * local, 0)
     return C
 
 

@@ -18,6 +18,7 @@ from ..base.safe_math import to_order_one
 from ..base.types import Ids, Index, Mask, PixelArray, Scalar
 from ..base.vec import Vec, components
 from ..scene.camera import Ray
+from ..scene.light import Light
 from ..xla.gather import gather_rows
 from ..xla.rematerialization import save_residuals
 from .context import TraceContext
@@ -166,20 +167,19 @@ def known_hit(context: TraceContext, ray: Ray, number: Ids, source_hit: Hit | No
     return Hit(number, context.compute_once(from_inside))
 
 
-def light_visible(context: TraceContext, point: Vec, hit: Hit, light: Vec) -> Mask:
+def light_visible(context: TraceContext, point: Vec, hit: Hit, light: Light) -> Mask:
     """Tests for shadows: whether the open segment from each point to the light meets no object.
 
     An occluder beyond the light casts no shadow. Points on the outside of a sphere are not
     shadowed by it here (where N.L <= 0 they are unlit anyway); on its inside they are if the light
     is outside. Of points that lie on no object, -1, nothing is said.
 
-    **Arguments:** `point`: surface points, with `hit` the objects they lie on. `light`: the
-    light's position, a `Vec` of scalars.
+    **Arguments:** `point`: surface points, with `hit` the objects they lie on.
     """
     context, point, hit, light = jax.lax.stop_gradient((context, point, hit, light))
     scale, accelerator = shadow_scale(context, light), context.accelerator
-    segment = shadow_segment(point * scale, light * scale)
-    none = jnp.full(segment.square.shape, False)
+    segment = shadow_segment(point * scale, light.scaled(scale))
+    none = jnp.full(hit.id.shape, False)
 
     def occlude(
         pixels: tuple[ShadowSegment, Hit],
@@ -198,7 +198,7 @@ def light_visible(context: TraceContext, point: Vec, hit: Hit, light: Vec) -> Ma
     return ~context.fold(occlude, (segment, hit), none, candidates=visit, scale=scale)
 
 
-def shadow_scale(context: TraceContext, light: Vec) -> Scalar:
+def shadow_scale(context: TraceContext, light: Light) -> Scalar:
     """Returns a power of two that scales the spheres' largest length to a thousand, exactly.
 
     The shadow test multiplies four lengths: in float32 it would overflow where a radius times the
@@ -206,4 +206,5 @@ def shadow_scale(context: TraceContext, light: Vec) -> Scalar:
     not one, as small spheres and near lights beside a planet are more than points so far away.
     """
     spheres = context.tables.spheres
-    return 1024 * to_order_one(spheres.radius, *components(spheres.center), *components(light))
+    places = () if light.directional else components(light.place)
+    return 1024 * to_order_one(spheres.radius, *components(spheres.center), *places)

@@ -1,18 +1,21 @@
 """The lecture's shading: ambient, Lambert and Phong (or Blinn's halfway-vector) terms at a point.
 
-    C = ka A S + sum over lights l of  lit_l C_l (kd (N.L_l) S + ks highlight_l)
+    C = ka A S + sum over lights l of  lit_l C_l f_l (kd (N.L_l) S + ks highlight_l)
 
 with S the surface's colour, C_l the light's, A the mean of all C_l, and unit vectors N, L, V, R, H.
-Beyond the lecture, an object may have a coat, which dims N.L_l (`fresnel.py`).
+f_l is 1, or (falloff / r)^2 of a light that grows dimmer with its distance r. Beyond the lecture,
+an object may have a coat, which dims N.L_l (`fresnel.py`).
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from ..base.types import Highlight, Mask, PixelArray
-from ..base.vec import Vec, dot, norm, unit
+from ..base.vec import Vec, dot, norm
+from ..scene.light import Light
 from .fresnel import coat_transmission
 from .hit import Surface
 
@@ -68,11 +71,6 @@ def power(cosine: PixelArray, exponent: PixelArray) -> PixelArray:
     return jnp.where(positive, value, jnp.where(exponent == 0, 1, 0).astype(cosine.dtype))
 
 
-def toward_light(surface: Surface, light: Vec) -> Vec:
-    """Returns L: the unit vectors from the surface to a light."""
-    return unit(light - surface.point)
-
-
 class Finish(NamedTuple):
     """The numbers of a material that shape its terms, where the picture needs them."""
 
@@ -83,26 +81,28 @@ class Finish(NamedTuple):
 def light_terms(
     surface: Surface,
     direction: Vec,
-    light: Vec,
+    light: Light,
     finish: Finish,
     lit: Mask,
     highlight: Highlight | None,
 ) -> tuple[PixelArray, PixelArray]:
     """Computes one light's terms before colours and coefficients: N.L and (R.V)^n, 0 if unlit.
 
-    Under a coat the first one is N.L (1 - F(N.L)) (1 - F(N.V)).
+    Under a coat the first one is N.L (1 - F(N.L)) (1 - F(N.V)). Both are multiplied by the light's
+    fall-off.
 
-    **Arguments:** `direction`: the rays' directions. `light`: the light's position. `lit`: whether
-    the light is visible from the point. `highlight`: the model; None leaves the second term out.
+    **Arguments:** `direction`: the rays' directions. `lit`: whether the light is visible from the
+    point. `highlight`: the model; None leaves the second term out.
     """
-    to_light = toward_light(surface, light)
+    to_light = light.direction(surface.point)
     cosine = lambert(surface, to_light)
     lit = lit & (cosine > 0)
     diffuse = cosine
     if finish.ior is not None:
         diffuse = cosine * coat_transmission(cosine, surface.cos_view, finish.ior)
     diffuse = jnp.where(lit, diffuse, 0)
+    faded = partial(light.faded, surface.point)
     if highlight is None or finish.exponent is None:
-        return diffuse, jnp.zeros_like(diffuse)
+        return faded(diffuse), jnp.zeros_like(diffuse)
     shine = power(HIGHLIGHTS[highlight].cosine(surface, to_light, direction), finish.exponent)
-    return diffuse, jnp.where(lit, shine, 0)
+    return faded(diffuse), faded(jnp.where(lit, shine, 0))

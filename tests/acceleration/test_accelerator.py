@@ -10,8 +10,9 @@ import pytest
 from helpers.contexts import context_of
 
 import spheretrace_jax as st
-from spheretrace_jax.base.vec import SplitVec, reflect, unit, vec
+from spheretrace_jax.base.vec import SplitVec, reflect, unit
 from spheretrace_jax.scene.camera import Ray, pixel_rays
+from spheretrace_jax.scene.light import each_light
 from spheretrace_jax.tracing.hit import Hit
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
 from spheretrace_jax.tracing.surface import surface_at
@@ -27,7 +28,7 @@ CAMERA = st.Camera(0.3, 0.6, 500.0, 800.0)
 COUNT = 500  # spheres of every scene, so that all scenes share one compilation
 
 
-def cloud(light=FAR, spread=150.0, radius=(3.0, 6.0), extra=(), twins=False):
+def cloud(light=FAR, spread=150.0, radius=(3.0, 6.0), extra=(), twins=False, directional=False):
     """Makes spheres of random sizes in a cube; `extra` replaces the last: (x, y, z, radius)."""
     rng = np.random.default_rng(0)
     center, size = rng.uniform(-spread, spread, (COUNT, 3)), rng.uniform(*radius, COUNT)
@@ -38,7 +39,7 @@ def cloud(light=FAR, spread=150.0, radius=(3.0, 6.0), extra=(), twins=False):
     center = np.concatenate([center, extra[:, :3]])[-COUNT:]
     size = np.concatenate([size, extra[:, 3]])[-COUNT:]
     spheres = st.Spheres(center, size, rng.uniform(0.2, 0.9, (COUNT, 3)))
-    return st.Scene(spheres, st.Lights([light]), CAMERA, antialias=0)
+    return st.Scene(spheres, st.Lights([light], directional=directional), CAMERA, antialias=0)
 
 
 def flat(*scale):
@@ -68,6 +69,8 @@ SCENES = {
     "a light at the eye": cloud(light=(83.0, 26, 413)),
     "a light behind all": cloud(light=(-100.0, -500, -800)),
     "a light far away": cloud(light=(1e6, -5e6, 8e6)),
+    "a directional light": cloud(light=(0.1, -0.5, 0.8), directional=True),
+    "a directional light along an axis": cloud(light=(3e20, 0.0, 0.0), directional=True),
     "in a row": flat(1.0, 1e-3, 1e-3),
     "in a plane": flat(1.0, 1, 0),
     "all at one point": flat(0.0, 0, 0),
@@ -97,7 +100,8 @@ def visibility(context):
     ray = eye_rays(context.scene)
     hit = closest_hit(strip, ray)
     surface = surface_at(context, ray, hit)
-    lit = light_visible(context, surface.point, hit, vec(context.scene.lights.position[0]))
+    light = next(each_light(context.scene.lights, falloff=False))
+    lit = light_visible(context, surface.point, hit, light)
     direction = reflect(ray.direction, surface.normal)
     mirrored = closest_hit(context, Ray(surface.point, direction), hit)
     straight_on = Ray(surface.point, ray.direction)
@@ -217,7 +221,8 @@ def test_other_lights_have_no_buffers():
     lights = st.Lights(jnp.array([[-300.0, 20, 500]]))
 
     def test(context):
-        return light_visible(context.with_lights(lights), point, hit, vec(lights.position[0]))
+        light = next(each_light(lights, falloff=False))
+        return light_visible(context.with_lights(lights), point, hit, light)
 
     lit = accelerated(scene, test, bounces=0), exhaustive(scene, test)
     np.testing.assert_array_equal(*lit)

@@ -13,8 +13,8 @@ from spheretrace_jax.antialiasing.edge_mask import edge_mask
 from spheretrace_jax.antialiasing.polygon import clip_pixel, whole_pixel
 from spheretrace_jax.antialiasing.shadow_edges import lit_coverage
 from spheretrace_jax.antialiasing.silhouette import silhouette_distance
-from spheretrace_jax.base.vec import vec
 from spheretrace_jax.rendering.samples import sample_positions
+from spheretrace_jax.scene.light import each_light
 from spheretrace_jax.tracing.cone import pixel_cones
 from spheretrace_jax.tracing.differential import pixel_differentials
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
@@ -38,7 +38,8 @@ def seen(scene: st.Scene) -> tuple:
     largest = jnp.argmax(layers.area, axis=0)[None]
     id_, area = (jnp.take_along_axis(x, largest, axis=0)[0] for x in (layers.hit.id, layers.area))
     covering = jnp.where(area > 0.5, id_, -1)
-    distance, light = silhouette_distance(context, ray, hit), vec(scene.lights.position[0])
+    distance = silhouette_distance(context, ray, hit)
+    light = next(each_light(scene.lights, falloff=False))
     everything = clip_pixel(whole_pixel(column))
     by_area = lit_coverage(context, ray, distance.extent, everything, hit, light)
     by_ray = light_visible(context, surface_at(context, ray.value, hit).point, hit, light)

@@ -12,6 +12,7 @@ import json
 import shutil
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -148,6 +149,29 @@ def test_what_is_not_exact_is_said_first(options, what):
     spheres = st.Spheres([[0.0, 0.0, 0.0], [150.0, 20.0, 0.0]], **options)
     text = povray_text(st.Scene(spheres, st.Lights([[100.0, 500.0, 800.0]])))
     assert text.startswith("// not exact: ") and what in text.split("#version")[0]
+
+
+def test_directional_lights_are_parallel():
+    spheres = st.Spheres([[0.0, 0.0, 0.0]], 40.0)
+    scene = st.Scene(spheres, st.Lights([[0.0, 3, 4]], directional=True), st.Camera(mu=500.0))
+    text = povray_text(scene)
+    assert "light_source { <0.0, 30000.0, 40000.0> rgb <1.0, 1.0, 1.0> parallel point_at" in text
+    assert "not exact" not in text
+    floor = eqx.tree_at(lambda s: s.planes, scene, st.Planes([[0.0, 0, 0]], [[0.0, 0, 1]]))
+    assert "no directional light's shadow far outside" in povray_text(floor)
+
+
+def test_falloff_is_povray_s_fading():
+    spheres = st.Spheres([[0.0, 0.0, 0.0]], 40.0)
+    text = povray_text(st.Scene(spheres, st.Lights([[0.0, 3, 4]], (0.5, 1, 2), falloff=300.0)))
+    (light,) = [line for line in text.splitlines() if line.startswith("light_source")]
+    red, distance = (
+        float(light.split(w)[1].split(e)[0]) for w, e in (("rgb <", ","), ("nce ", " "))
+    )
+    for r in (30.0, 300.0, 5000.0):  # POV-Ray's factor of a light that fades with power 2
+        seen = red * 2 / (1 + (r / distance) ** 2)
+        np.testing.assert_allclose(seen, 0.5 * (300 / r) ** 2, rtol=1e-7)
+    assert "fade_power 2" in light and "not exact" not in text
 
 
 def test_lecture_scene_is_exact():

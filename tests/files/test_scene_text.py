@@ -255,6 +255,26 @@ MISTAKES = [
     (HEADER + "1\n1 x 3\n", "4:3: expected Ly, a number, got x"),
     (HEADER + "1\n1 2 3 1 -1 1\n", "4:9: LG must be at least 0, got -1"),
     (HEADER + "1\n1 2 3 1 1 nan\n", "4:11: expected LB, a number, got nan"),
+    (HEADER + "1\n1 2 directional\n", "4:4: expected 3 or 6 columns for light 1 of 1, got 2"),
+    (
+        HEADER + "1\n1 2 3 directional far\n",
+        "4:19: expected falloff or the end of the line, got far",
+    ),
+    (
+        HEADER + "1\n1 2 3 directional directional\n",
+        "4:19: expected falloff or the end of the line, got directional",
+    ),
+    (HEADER + "1\n1 2 3 falloff\n0", "5:1: expected a number after falloff, got 0"),
+    (HEADER + "1\n1 2 3 falloff x\n", "4:15: expected DISTANCE, a number, got x"),
+    (HEADER + "1\n1 2 3 1 1 1 falloff -2\n", "4:21: DISTANCE must be at least 0, got -2"),
+    (
+        HEADER + "1\n1 2 3 falloff 5 directional\n",
+        "4:7: a directional light has no falloff",
+    ),
+    (
+        HEADER + "1\n0 0 0 directional\n",
+        "4:1: the direction Lx Ly Lz of a directional light must not be 0 0 0",
+    ),
     # a count that does not match
     (
         HEADER + LIGHT + f"2\n{SPHERE}\n",
@@ -604,6 +624,27 @@ def test_written_texts_read_well(tmp_path):
         "background 0.1 0.2 0.3\n"
         "window 300.0\n"
     )
+
+
+def test_lights_of_all_kinds_come_back(tmp_path):
+    rows = (
+        "5 6 7",
+        "1 2 3 directional",
+        "8 9 10 11 12 13 falloff 2.5",
+        "0 0 1 .1 .2 .3 directional",
+    )
+    scene = read(tmp_path, "0 0 500 800\n0\n4\n" + "\n".join(rows) + "\n0\n")
+    assert scene.lights.directional == (False, True, False, True)
+    np.testing.assert_array_equal(scene.lights.falloff, [0, 0, 2.5, 0])
+    np.testing.assert_array_equal(scene.lights.color[2:], [[11, 12, 13], [0.1, 0.2, 0.3]])
+    np.testing.assert_array_equal(scene.lights.position[1], [1, 2, 3])
+    st.save_scene(tmp_path / "out.txt", scene)
+    written = (tmp_path / "out.txt").read_text().splitlines()[3:7]
+    assert written[1:3] == [
+        "1.0 2.0 3.0 directional",
+        "8.0 9.0 10.0 11.0 12.0 13.0 falloff 2.5",
+    ]
+    assert_same(st.load_scene(tmp_path / "out.txt"), scene)
 
 
 def test_textures_are_named_relative_to_the_scene(pictures):

@@ -188,7 +188,7 @@ def test_weak_is_not_undetermined():
     one_far = scene(lights=[LIGHTS[0], [-2e5, -1e5, 1e6]])
     for truth, noise, weak in (
         (scene(), 0.001, []),
-        (one_far, 0.001, ["light 2: distance undetermined, direction known to 0.0"]),
+        (one_far, 0.001, ["light 2 is at infinity: its distance does not show, but is at least"]),
         (scene(), 10, ["light 1's position is lost", "light 2's position is lost"]),
     ):
         fit = fit_at(truth, SHADES, noise=noise)

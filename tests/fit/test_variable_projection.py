@@ -20,7 +20,7 @@ def test_linear_shading_is_the_picture():
     picture = st.render(scene, width=32, height=24)
     target = make_target(np.asarray(picture), scene.dtype)
     sample = sample_pixels(Parameters(scene, ()), target, render_settings(scene, 32, 24))
-    sums = sample.sums(terms_at(sample, scene.lights.position))
+    sums = sample.sums(terms_at(sample, scene.lights))
     color = linear_shading(sample.materials(sums)[sample.sphere], sums)
     counts = np.asarray(sample.weight) > 0
     np.testing.assert_allclose(color[counts], sample.image[counts], rtol=1e-13)

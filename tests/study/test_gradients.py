@@ -31,7 +31,8 @@ def test_forward_reverse_and_differences_agree_by_every_parameter(name, highligh
     table = st.check_gradients(scene, highlight=highlight, **SIZE)
     arrays = [leaf for leaf in jax.tree.leaves(scene) if leaf.size]
     uncoated = sum(bool(len(x)) for x in (scene.spheres, scene.planes))  # ior 1 has no row
-    assert len(table.rows) == len(arrays) - uncoated, "every other array of the scene has its row"
+    left_out = uncoated + 1  # and the fall-off, which no light has
+    assert len(table.rows) == len(arrays) - left_out, "every other array of the scene has its row"
     for row in table.rows:
         assert row.forward < 1e-6, row
         assert row.reverse < 1e-14, row
@@ -51,6 +52,19 @@ def test_derivatives_by_indices_of_refraction_agree():
         assert row.largest > 0.01 and row.left_out == 0, row
     idle = st.check_gradients(SCENES["diffuse"], every=False, width=4, height=4, second=False)
     assert "every ior is 1: spheres" in str(idle)
+
+
+def test_derivatives_by_directions_and_falloff():
+    lights = st.Lights(
+        [[300.0, 350, 400], [-0.5, 0.2, 0.9], [60, -80, 150]], (0.4, 0.3, 0.3),
+        directional=(False, True, False), falloff=(0, 0, 180),
+    )  # fmt: skip
+    scene = eqx.tree_at(lambda s: s.lights, SCENES["shadows"], lights)
+    table = st.check_gradients(scene, width=16, height=16, bounces=0, every=False, second=False)
+    rows = {row.parameter: row for row in table.rows}
+    for name in ("lights.position", "lights.falloff"):
+        row = rows[name]
+        assert row.forward < 1e-6 and row.reverse < 1e-13 and row.largest > 0, row
 
 
 def test_what_the_table_leaves_out_lies_on_edges():

@@ -17,8 +17,10 @@ POSITIONS, COLORS = np.random.default_rng(0).uniform(0, 1, (2, 6, 3))
 
 @pytest.mark.parametrize("clear", [(), (0, 3), tuple(range(6))])
 @pytest.mark.parametrize("tinted", [True, False])
-def test_loop_over_lights_is_their_sum(clear, tinted):
-    lights = st.Lights(POSITIONS, COLORS if tinted else COLORS[:, :1] * np.ones((1, 3)))
+@pytest.mark.parametrize("directional", [False, (True, False, True, True, False, False)])
+def test_loop_over_lights_is_their_sum(clear, tinted, directional):
+    colors = COLORS if tinted else COLORS[:, :1] * np.ones((1, 3))
+    lights = st.Lights(POSITIONS, colors, directional)
     scene = eqx.tree_at(lambda s: s.lights, SCENES["shadows"], lights)
     needs = Needs(shadows=len(clear) < 6, clear=clear, tinted=tinted)
 
@@ -26,12 +28,15 @@ def test_loop_over_lights_is_their_sum(clear, tinted):
 
     def terms(light, shadows):
         # a shadow test of a light that nothing can block would change both sums
-        return jnp.full(2, light.x + 10.0 * shadows), jnp.full(2, light.y - 10.0 * shadows)
+        x, y = light.place.x, light.place.y
+        return jnp.full(2, x + 10.0 * shadows), jnp.full(2, y - 10.0 * shadows)
 
     loop, unrolled = (sum_lights(context, (2,), terms, most=most) for most in (1, 6))
     shadowed = np.array([i not in clear for i in range(6)])
-    diffuse = (POSITIONS[:, 0] + 10 * shadowed) @ lights.color
-    shine = (POSITIONS[:, 1] - 10 * shadowed) @ lights.color
+    length = np.linalg.norm(POSITIONS, axis=1, keepdims=True)
+    places = POSITIONS / np.where(np.array(lights.directional)[:, None], length, 1)
+    diffuse = (places[:, 0] + 10 * shadowed) @ lights.color
+    shine = (places[:, 1] - 10 * shadowed) @ lights.color
     for sums in (loop, unrolled):
         for found, expected in zip(sums, (diffuse, shine), strict=True):
             found = [np.broadcast_to(x, 2)[0] for x in components(found)]

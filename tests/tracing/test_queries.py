@@ -1,5 +1,7 @@
 """Ray queries: the closest hit and the visibility of lights."""
 
+from functools import partial
+
 import jax.numpy as jnp
 import pytest
 from helpers.contexts import context_of
@@ -7,6 +9,7 @@ from helpers.contexts import context_of
 import spheretrace_jax as st
 from spheretrace_jax.base.vec import vec
 from spheretrace_jax.scene.camera import Ray
+from spheretrace_jax.scene.light import make_light
 from spheretrace_jax.tracing.hit import Hit
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
 
@@ -28,9 +31,9 @@ def source(number, inside):
     return Hit(jnp.array(number), jnp.array(inside))
 
 
-def lit(context, point, light, number=-1, inside=False):
-    arguments = vec(jnp.array(point, float)), source(number, inside), vec(jnp.array(light, float))
-    return bool(light_visible(context, *arguments))
+def lit(context, point, light, number=-1, inside=False, directional=False):
+    light = make_light(jnp.array(light, float), None, directional)
+    return bool(light_visible(context, vec(jnp.array(point, float)), source(number, inside), light))
 
 
 def test_nearest_of_two_in_any_order():
@@ -75,13 +78,36 @@ def test_shadow_of_a_sphere(point, light, expected):
     assert lit(context_of_spheres((0, 1)), point, light) is expected
 
 
+@pytest.mark.parametrize(
+    ("point", "light", "expected"),
+    [
+        ([-9, 0, 0], [9, 0, 0], False),
+        ([9, 0, 0], [9, 0, 0], True),
+        ([-9, 2, 0], [1, 0, 0], True),
+        ([-9, 0, 0], [-1e-30, 0, 0], True),
+        ([0.5, 0, 0], [1e30, 0, 0], False),
+    ],
+    ids=["in the way", "behind", "past it", "other way", "point inside"],
+)
+def test_shadow_of_a_sphere_from_a_directional_light(point, light, expected):
+    assert lit(context_of_spheres((0, 1)), point, light, directional=True) is expected
+
+
+def test_shadow_of_a_plane_from_a_directional_light():
+    context = context_of_spheres((50, 1), planes=st.Planes([[0.0, 0, 3]], [[0.0, 0, 2]]))
+    shines = partial(lit, context, directional=True)
+    assert not shines([0, 0, 2], [0, 0, 5]) and shines([0, 0, 4], [0, 0, 5])
+    assert shines([0, 0, 2], [0, 0, -5]) and shines([0, 0, 2], [1, 0, 0])
+
+
+@pytest.mark.parametrize("directional", [False, True])
 @pytest.mark.parametrize("unit", [1e-12, 1e-6, 1.0, 1e6, 1e12])
-def test_shadows_in_any_unit_of_length(unit):
+def test_shadows_in_any_unit_of_length(unit, directional):
     center = jnp.asarray([[0.0, 0, 0], [300, 0, 0]]) * unit
     spheres = st.Spheres(center.astype(jnp.float32), jnp.full(2, 100 * unit, jnp.float32))
     scene = st.Scene(spheres, st.Lights([[0.0, 0, 0]]))
     context = context_of(scene, st.Needs(planes=False))
-    light = vec(jnp.asarray([1e6 * unit, 0, 0], jnp.float32))
+    light = make_light(jnp.asarray([1e6 * unit, 0, 0], jnp.float32), None, directional)
     for height, expected in ((99.0, False), (101.0, True)):
         point = vec(jnp.asarray([-200 * unit, height * unit, 0], jnp.float32))
         visible = light_visible(context, point, source(-1, False), light)

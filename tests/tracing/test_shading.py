@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spheretrace_jax.base.vec import SplitVec, Vec, dot, norm, reflect, unit, vec
+from spheretrace_jax.scene.light import Light
 from spheretrace_jax.tracing.fresnel import coat_transmission
 from spheretrace_jax.tracing.hit import Surface
 from spheretrace_jax.tracing.shading import Finish, blinn, lambert, light_terms, phong, power
@@ -60,9 +61,10 @@ def test_power_of_the_positive_part(cosine, exponent, value):
 
 @pytest.mark.parametrize("exponent", [0.0, 5.0])
 @pytest.mark.parametrize(("degrees", "lit"), [(100, True), (30, False)])
-def test_unlit_points_get_no_light(exponent, degrees, lit):
+@pytest.mark.parametrize("directional", [False, True])
+def test_unlit_points_get_no_light(exponent, degrees, lit, directional):
     surface = viewed_from(at_angle(0))
-    away = at_angle(degrees) * 1000
+    away = Light(at_angle(degrees) * 1000, None, directional)
     for ior in (None, jnp.array(1.5)):
         finish = Finish(jnp.array(exponent), ior)
         terms = light_terms(surface, -at_angle(0), away, finish, jnp.array(lit), "phong")
@@ -73,7 +75,7 @@ def test_unlit_points_get_no_light(exponent, degrees, lit):
 def test_a_coat_dims_the_diffuse_term_only(light, viewer):
     L, V = at_angle(light), at_angle(viewer)
     surface, n, lit = viewed_from(V), jnp.array(5.0), jnp.array(True)
-    arguments = surface, -V, L * 1000
+    arguments = surface, -V, Light(L * 1000, None, directional=False)
     (bare, shine), (coated, same) = (
         light_terms(*arguments, Finish(n, ior), lit, "phong") for ior in (None, jnp.array(1.5))
     )
@@ -84,7 +86,8 @@ def test_a_coat_dims_the_diffuse_term_only(light, viewer):
 
 def test_light_on_the_surface_point():
     surface = viewed_from(at_angle(0))
+    light = Light(surface.point, jnp.array(3.0), directional=False)
     finish = Finish(jnp.array(5.0), jnp.array(1.5))
-    arguments = surface, -at_angle(0), surface.point, finish, jnp.array(True)
+    arguments = surface, -at_angle(0), light, finish, jnp.array(True)
     assert np.isfinite(light_terms(*arguments, "blinn")).all()
     assert norm(surface.point) == 0

@@ -14,7 +14,7 @@ from jaxtyping import PyTree
 
 from ...base.srgb import code_srgb, srgb
 from ..problem.problem import Problem
-from ..solver.light_search import is_separable, light_constraints
+from ..solver.light_search import free_places, is_separable, light_constraints
 from ..solver.variable_projection import SampledPixels, best_residual, refine_lights, sample_pixels
 
 # The part of the residual's mean square that is left with other numbers, from which these are the
@@ -51,7 +51,8 @@ def better_numbers(problem: Problem, values: PyTree) -> str | None:
             numbers = _WORDS[words](numbers) if words else numbers
             changed = jnp.asarray(numbers, sample.image.dtype)
             changed = eqx.tree_at(lambda s: s.image, sample, changed)
-            lights = refine_lights(changed, scene.lights.position, light_constraints(parameters))
+            lights, free = scene.lights.position, free_places(parameters)
+            lights = refine_lights(changed, lights, free, light_constraints(parameters))
             left[words] += _unexplained(changed, lights)
     best = min(left, key=lambda words: left[words])
     return best if best and left[best] < _BETTER * left[""] else None

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...scene.parameters import LIGHT_PLACES, rows_of
 from ..model.products import PRODUCTS
 from ..problem.labels import picture_suffix
 from ..problem.problem import Problem
+from ..solver.light_search import free_places
 from .uncertainty import Uncertainty
 
 # The standard deviation of a distance, as a part of it, from which it says nothing.
@@ -19,25 +21,24 @@ def effects(problem: Problem, uncertainty: Uncertainty) -> tuple[str, ...]:
 
 
 def _of_lights(problem: Problem, uncertainty: Uncertainty) -> Iterator[str]:
-    if "light_position" not in problem.parameters[0].free:
-        return
-    apart = "light_position" in problem.per_picture
-    for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
-        suffix = picture_suffix(k) if apart else ""
-        free = parameters.free_numbers("light_position").any(axis=1)
-        for i in np.flatnonzero(free):
-            angle, distance = uncertainty.of_light(k, int(i))
-            if not np.isfinite(angle):
-                continue
-            words = f"light {i + 1}'s direction{suffix} by {np.degrees(angle):.2g} degrees"
-            if distance < _UNKNOWN:
-                words += f", its distance by {distance:.2g} of it"
-            yield words
+    for name in free_places(problem.parameters[0]):
+        apart = name in problem.per_picture
+        for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
+            suffix = picture_suffix(k) if apart else ""
+            free = parameters.free_numbers(name).any(axis=1) & rows_of(parameters.scene, name)
+            for i in np.flatnonzero(free).tolist():
+                angle, distance = uncertainty.of_light(k, i)
+                if not np.isfinite(angle):
+                    continue
+                words = f"light {i + 1}'s direction{suffix} by {np.degrees(angle):.2g} degrees"
+                if 0 < distance < _UNKNOWN:
+                    words += f", its distance by {distance:.2g} of it"
+                yield words
 
 
 def _of_others(problem: Problem, uncertainty: Uncertainty) -> Iterator[str]:
     """Yields one list of the largest standard deviation of each name; products show of colours."""
-    names = [n for n in problem.parameters[0].free if n != "light_position"]
+    names = [n for n in problem.parameters[0].free if n not in LIGHT_PLACES]
     deviations = uncertainty.standard_deviations
     largest = {n: _largest(deviations[n]) for n in names}
     if "color" in names:

@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
-from ...base.vec import vec
 from ...rendering.samples import sample_positions, sample_rays
+from ...scene.light import each_light
+from ...scene.parameters import LIGHT_PLACES, rows_of
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...tracing.context import build_context
 from ...tracing.queries import closest_hit, light_visible
-from ...tracing.shading import lambert, toward_light
+from ...tracing.shading import lambert
 from ...tracing.surface import surface_at
 from ...xla.jit import compiled
 from ..problem.labels import picture_suffix, unknown_indices
@@ -79,12 +80,21 @@ class Evidence:
         """Returns whether all that has a position or axes is free to move with the eye."""
         scene = self.scenes[0]
         fixed = len(scene.planes) or scene.back_plane or scene.sky or any(scene.spheres.pic)
-        lights = self.all_free("light_position") or not len(scene.lights)
+        lights = all(
+            self.all_free(name, rows_of(scene, name))
+            for name in LIGHT_PLACES
+            if rows_of(scene, name).any()
+        )
         return self.all_free("center") and lights and not fixed and len(self.scenes) == 1
 
-    def all_free(self, name: str) -> bool:
-        """Returns whether each number of a parameter is an unknown of its own."""
-        places = self.indices.get(name, [np.array([-1])])
+    def all_free(self, name: str, rows: Bool[np.ndarray, " objects"] | None = None) -> bool:
+        """Returns whether each number of a parameter is an unknown of its own.
+
+        **Arguments:** `rows`: of some objects only; None for all.
+        """
+        if name not in self.indices:
+            return False
+        places = [at if rows is None else at[rows] for at in self.indices[name]]
         return all((at >= 0).all() and len(np.unique(at)) == at.size for at in places)
 
     def idle_lights(self, pictures: list[int]) -> list[int]:
@@ -132,10 +142,10 @@ def _shown(
     lit = [
         any_of(
             counts
-            & (lambert(surface, toward_light(surface, vec(light))) > 0)
-            & light_visible(context, surface.point, hit, vec(light))
+            & (lambert(surface, light.direction(surface.point)) > 0)
+            & light_visible(context, surface.point, hit, light)
         )
-        for light in scene.lights.position
+        for light in each_light(scene.lights, falloff=False)
     ]
     none = jnp.zeros((0, scene.objects), bool)
     lit = jnp.stack(lit) if lit else none

@@ -88,13 +88,23 @@ def _weak(uncertainty: Uncertainty) -> list[str]:
     apart = "light_position" in problem.per_picture
     for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
         suffix = picture_suffix(k) if apart else ""
-        for i in range(len(parameters.scene.lights)):
-            angle, distance = uncertainty.of_light(k, i)
-            if angle <= _WEAK < distance:
-                sentences.append(
-                    f"light {i + 1}{suffix}: distance undetermined, direction known to "
-                    f"{np.degrees(angle):.2g} degrees"
-                )
+        free = parameters.free_numbers("light_position").any(axis=1)
+        for i in np.flatnonzero(free).tolist():
+            angle, _ = uncertainty.of_light(k, i)
+            distance = uncertainty.light_distance(i, k)
+            if angle <= _WEAK and distance.infinite:
+                sentences.append(f"light {i + 1}{suffix}{_at_infinity(distance.least, angle)}")
             elif _WEAK < angle < np.inf:
                 sentences.append(f"light {i + 1}'s position{suffix} is lost in the noise")
     return sentences
+
+
+def _at_infinity(least: float, angle: float) -> str:
+    """Returns words for a light whose distance does not show, after its name."""
+    known = f"direction known to {np.degrees(angle):.2g} degrees"
+    if not least > 0:
+        return f": distance undetermined, {known}"
+    return (
+        f" is at infinity: its distance does not show, but is at least {least:.3g} (95 %); "
+        f"{known}; prefer a directional light, the simpler model"
+    )

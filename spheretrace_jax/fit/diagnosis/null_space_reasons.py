@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, PyTree
 
 from ...scene.camera import view_frame
+from ...scene.lights import Lights
+from ...scene.parameters import LIGHT_PLACES, rows_of
 from ...scene.scene import Scene
 from ..model.parameters import LIGHTS
 from ..problem.labels import CHANNELS, joined, labels_of
@@ -141,8 +143,10 @@ class _LightExchange:
         gain = np.zeros_like(self.evidence.natural[k][self.name])
         bright = np.linalg.norm(np.asarray(self.evidence.scenes[k].lights.color), axis=1)
         gain[one, c], gain[other, c] = 1, -1
-        if self.name == "light_position":
+        if self.name in LIGHT_PLACES:
             gain[one, c], gain[other, c] = bright[other], -bright[one]
+        if self.name == "light_direction":  # a longer one turns less
+            gain *= np.linalg.norm(self.evidence.natural[k][self.name], axis=1, keepdims=True)
         return {self.name: gain}
 
 
@@ -166,7 +170,7 @@ def _light_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]]:
     """Yields lights of which only what they do together shows."""
     for name in sorted(LIGHTS.keys() & set(evidence.free)):
         for suffix, pictures in evidence.picture_groups(name):
-            for why, group in _alike_lights(evidence, pictures):
+            for why, group in _alike_lights(evidence, pictures, name):
                 lights = f"lights {joined([str(i + 1) for i in group])}{suffix}"
                 directions: list[Direction] = [
                     _LightExchange(evidence, name, pictures, group[0], other, c)
@@ -185,22 +189,45 @@ def _light_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]]:
                 )
 
 
-def _alike_lights(evidence: Evidence, pictures: list[int]) -> Iterator[tuple[str, list[int]]]:
-    """Yields groups of lights that are at one place, or reach nothing that is seen."""
-    positions = np.concatenate(
-        [np.asarray(evidence.scenes[k].lights.position) for k in pictures], axis=1
-    )
-    idle = evidence.idle_lights(pictures)
-    left = [i for i in range(len(positions)) if i not in idle]
+def _alike_lights(
+    evidence: Evidence, pictures: list[int], name: str
+) -> Iterator[tuple[str, list[int]]]:
+    """Yields groups of lights that are at one place, or reach nothing that is seen.
+
+    **Arguments:** `name`: the parameter that the lights share: places are those of one kind.
+    """
+    scene, idle = evidence.scenes[pictures[0]], evidence.idle_lights(pictures)
+    positions = np.concatenate([_places(evidence.scenes[k].lights) for k in pictures], axis=1)
+    kinds = [name] if name in LIGHT_PLACES else list(LIGHT_PLACES)
+    for kind in kinds:
+        rows = np.flatnonzero(rows_of(scene, kind)).tolist()
+        yield from _one_place(positions, [i for i in rows if i not in idle], kind)
+    if name in LIGHT_PLACES:
+        idle = [i for i in idle if rows_of(scene, name)[i]]
+    if len(idle) > 1:
+        yield "reach nothing that is seen", idle
+
+
+def _places(lights: Lights) -> np.ndarray:
+    """Returns the lights' positions, and directions of unit length."""
+    places = np.asarray(lights.position, np.float64)
+    length = np.linalg.norm(places, axis=1, keepdims=True)
+    far = np.asarray(lights.directional, bool)[:, None]
+    return places / np.where(far & (length > 0), length, 1)
+
+
+def _one_place(
+    positions: np.ndarray, left: list[int], kind: str
+) -> Iterator[tuple[str, list[int]]]:
+    """Yields groups of lights at one place. **Arguments:** `left`: the lights to look at."""
+    why = "are at one place" if kind == "light_position" else "have one direction"
     while left:
         difference = np.abs(positions[left] - positions[left[0]]).max(axis=1)
         same = difference <= _ONE_PLACE * np.abs(positions[left[0]]).max()
         group = [i for i, s in zip(left, same, strict=True) if s]
         left = [i for i in left if i not in group]
         if len(group) > 1:
-            yield "are at one place", group
-    if len(idle) > 1:
-        yield "reach nothing that is seen", idle
+            yield why, group
 
 
 def _row(v) -> np.ndarray:
@@ -237,7 +264,8 @@ class _CameraMotion:
 
     def __call__(self, k: int) -> Arrays:
         natural, scene = self.evidence.natural[k], self.evidence.scenes[k]
-        positions = {n: natural[n] for n in ("center", "light_position") if n in natural}
+        moving = ["center", "light_position"] + ["light_direction"] * (self.name != "mu")
+        positions = {n: natural[n] for n in moving if n in natural}
         moved = {n: self._velocity(x, scene) for n, x in positions.items()}
         return moved | {self.name: np.ones_like(natural[self.name])}
 

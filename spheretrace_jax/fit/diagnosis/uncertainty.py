@@ -9,7 +9,8 @@ a finite one all the same. The step that the solver would still take counts as w
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from typing import Any
+from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,6 +18,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
+from ...base.errors import InputError
 from ...xla.jit import compiled
 from ..model.parameters import bounding_sphere
 from ..normal_equations.normal_equations import NormalEquations
@@ -32,10 +34,26 @@ _NOTHING_NEW = 1e-6
 # does not: derivatives where shadow edges are covered are good to 1 % (docs/edges.md).
 _EDGE_ERROR = 1e-2
 
+# The probability with which a light is no nearer, and no farther, than is said.
+_CONFIDENCE = 0.95
+
 # The part of a function's derivative along undetermined directions, from which the function is not
 # determined. Smaller ones are errors of the directions; a larger limit gives finite deviations to
 # functions that do depend.
 _DEPENDS = 1e-5
+
+
+class LightDistance(NamedTuple):
+    """How far a light is from the middle of the spheres, in the scene's units."""
+
+    value: float  #: as it was found; infinite for a directional light
+    least: float  #: it is at least so far away, with 95 % probability
+    most: float  #: it is at most so far away, with 95 % probability; inf where there is no limit
+
+    @property
+    def infinite(self) -> bool:
+        """Tells whether the light may as well be at infinity: its distance does not show."""
+        return bool(np.isinf(self.most))
 
 
 class Uncertainty(eqx.Module):
@@ -102,22 +120,65 @@ class Uncertainty(eqx.Module):
         """Returns the standard deviations of the solver's unknowns, which are of order one."""
         return self._deviations(np.eye(self.spectrum.scale.size))
 
+    def light_distance(self, light: int, picture: int = 0) -> LightDistance:
+        """Returns how far a light is from the middle of the spheres, and what the pictures allow.
+
+        To first order 1/distance scatters normally, which is near 0 where parallax and fall-off
+        hardly show. As it cannot be negative, the normal distribution is cut off at 0: the least
+        distance is the inverse of the 95 % quantile of what is left. A light that is found within
+        1.645 standard deviations of 1/distance = 0 has no greatest distance.
+
+        **Arguments:** `light`, `picture`: their numbers, from 0.
+
+        **Raises:** `InputError` for a light or a picture that there is not.
+        """
+        pictures = len(self.problem.parameters)
+        if not 0 <= picture < pictures:
+            raise InputError(f"picture must be in 0..{pictures - 1}, got {picture}")
+        lights = self.problem.parameters[picture].scene.lights
+        if not 0 <= light < len(lights):
+            raise InputError(f"light must be in 0..{len(lights) - 1}, got {light}")
+        if lights.directional[light]:
+            return LightDistance(np.inf, np.inf, np.inf)
+        length = float(np.linalg.norm(self._offset(picture, light)))
+        if "light_position" not in self.problem.parameters[0].free or not length > 0:
+            return LightDistance(length, length, length)
+        _, relative = self.of_light(picture, light)
+        if not relative > 0:
+            return LightDistance(length, length, length)
+        if not np.isfinite(relative):
+            return LightDistance(length, 0.0, np.inf)
+        normal = NormalDist()
+        above = relative * normal.inv_cdf(1 - (1 - _CONFIDENCE) * normal.cdf(1 / relative))
+        below = relative * normal.inv_cdf(_CONFIDENCE)
+        most = length / (1 - below) if below < 1 else np.inf
+        return LightDistance(length, length / (1 + above), float(most))
+
     def of_light(self, picture: int, light: int) -> tuple[float, float]:
         """Returns how well a light's direction is known, in radians, and its relative distance.
 
-        Both as seen from the middle of the spheres.
+        Both as seen from the middle of the spheres. Of a directional light the distance is known.
         """
-        middle, _ = bounding_sphere(self.problem.parameters[picture].scene)
-        scene, _ = self.problem.scenes_at(self.values)[picture]
-        offset = np.asarray(scene.lights.position[light] - middle, np.float64)
+        directional = self.problem.parameters[picture].scene.lights.directional[light]
+        name = "light_direction" if directional else "light_position"
+        offset = self._offset(picture, light)
         length = np.linalg.norm(offset)
         along = offset / length
-        places = self.problem.index(picture).places["light_position"]
+        places = self.problem.index(picture).places[name]
         jacobian = self.jacobians[picture][places[light]] / length
-        distance = self._deviations((along @ jacobian)[None])[0]
+        distance = 0.0 if directional else self._deviations((along @ jacobian)[None])[0]
         across = jacobian - np.outer(along, along @ jacobian)
         angles = self._deviations(across)
         return float(np.linalg.norm(angles)), float(distance)
+
+    def _offset(self, picture: int, light: int) -> Float[np.ndarray, " 3"]:
+        """Returns a light's position from the middle of the spheres, or its direction."""
+        scene, _ = self.problem.scenes_at(self.values)[picture]
+        place = np.asarray(scene.lights.position[light], np.float64)
+        if scene.lights.directional[light]:
+            return place
+        middle, _ = bounding_sphere(self.problem.parameters[picture].scene)
+        return place - np.asarray(middle, np.float64)
 
     def _half(self, jacobian: Float[np.ndarray, "functions free"]) -> np.ndarray:
         """Returns H with H H^T the covariance of functions of the unknowns."""

@@ -11,10 +11,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from ...base.errors import InputError
-from ...scene.parameters import FITTED, LIMITS
+from ...scene.parameters import FITTED, LIGHT_PLACES, LIMITS, rows_of
 from ...scene.scene import Scene
 
 Free = Sequence[str] | Mapping[str, Any]
@@ -27,12 +27,14 @@ OBJECTS = {"spheres": "sphere", "lights": "light", "scene": "channel"}
 class Constraint(eqx.Module):
     """What restricts the numbers of one parameter."""
 
-    unknown: Int[Array, "*shape"]  #: the unknown that each number is; -1 where it is held
+    #: the unknown that each number is; -1 where it is held. Directions of lights have two numbers
+    #: here, those that turn them
+    unknown: Int[Array, "*shape"]
     first: Int[Array, " unknowns"]  #: the place of the first number that each unknown is
     lower: Float[Array, "*shape"]  #: in the scene's units; -inf where there is none
     upper: Float[Array, "*shape"]
-    mean: Float[Array, "*shape"]  #: of the Gaussian prior
-    weight: Float[Array, "*shape"]  #: 1 / the prior's standard deviation, 0 where there is none
+    mean: Float[Array, "*natural"]  #: of the Gaussian prior, in the parameter's shape
+    weight: Float[Array, "*natural"]  #: 1 / the prior's standard deviation, 0 where there is none
 
     def full(self, y: Shaped[Array, " unknowns"]) -> Shaped[Array, "*shape"]:
         """Returns the unknown of each number; of held ones any."""
@@ -108,20 +110,25 @@ def make_constraints(
         unknown = sorted(set(given) - set(names))
         if unknown:
             raise InputError(f"{option} must name free parameters, got {', '.join(unknown)}")
+        if "light_direction" in given and option != "tie":
+            raise InputError(f"{option} of light_direction are not to be had: two angles are free")
     found = {}
     for name in names:
         chosen = free[name] if isinstance(free, Mapping) else True
-        if not _is(chosen, True) or name in tie or name in bounds or name in priors:
+        rows = rows_of(scene, name) if name in LIGHT_PLACES else np.array(True)
+        if not (_is(chosen, True) and rows.all()) or any(name in x for x in (tie, bounds, priors)):
             start = start_of(scene, name)
-            unknown, first = _unknowns(name, start, chosen, tie.get(name))
+            unknown, first = _unknowns(name, start, chosen, tie.get(name), rows)
             limits = _bounds(name, start, unknown, bounds.get(name), scene.dtype)
             prior = _prior(name, start, priors.get(name))
-            for x in prior:
-                if ((x.reshape(-1)[first][unknown] != x) & (unknown >= 0)).any():
-                    raise InputError(f"priors of {name} must be the same where {name} is tied")
-            # a prior is one statement on an unknown, whatever the number of objects that share it
-            once = np.isin(np.arange(start.size), first).reshape(start.shape)
-            numbers = (*limits, prior[0], np.where(once, prior[1], 0))
+            if prior[1].any():
+                for x in prior:
+                    if ((x.reshape(-1)[first][unknown] != x) & (unknown >= 0)).any():
+                        raise InputError(f"priors of {name} must be the same where {name} is tied")
+                # one statement on an unknown, whatever the number of objects that share it
+                once = np.isin(np.arange(start.size), first).reshape(start.shape)
+                prior = prior[0], np.where(once, prior[1], 0)
+            numbers = (*limits, *prior)
             places = jnp.asarray(unknown, jnp.int32), jnp.asarray(first, jnp.int32)
             found[name] = Constraint(*places, *(jnp.asarray(x, scene.dtype) for x in numbers))
     return found
@@ -141,10 +148,18 @@ def _is(chosen: Any, value: bool) -> bool:
     return isinstance(chosen, bool | np.bool_) and bool(chosen) == value
 
 
-def _unknowns(name: str, start: np.ndarray, chosen: Any, tie: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the unknown that each number is, -1 where held, and each unknown's first place."""
+def _unknowns(
+    name: str, start: np.ndarray, chosen: Any, tie: Any, rows: Bool[np.ndarray, "..."]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the unknown that each number is, -1 where held, and each unknown's first place.
+
+    **Arguments:** `rows`: which lights the name is of, True for any others.
+    """
     mask = _mask(name, start.shape, chosen)
-    number = np.arange(start.size).reshape(start.shape)
+    if rows.ndim:
+        mask = _mask_of_lights(name, mask, rows, everything=_is(chosen, True))
+        tie = [np.flatnonzero(rows).tolist()] if _is(tie, True) else tie
+    number = np.arange(mask.size).reshape(mask.shape)
     for group in [] if tie is None else _groups(name, start.shape, tie):
         words = f"{name} of {objects_of(name)}s {', '.join(str(i + 1) for i in group)}"
         if (mask[group] != mask[group[0]]).any():
@@ -186,9 +201,26 @@ def _mask(name: str, shape: tuple[int, ...], chosen: Any) -> np.ndarray:
     mask = np.broadcast_to(array.reshape(array.shape + (1,) * (len(shape) - array.ndim)), shape)
     if not mask.any():
         raise InputError(f"free[{name!r}] names no {objects_of(name)}")
-    if name == "light_position" and (mask.any(axis=1) != mask.all(axis=1)).any():
-        raise InputError("a light's position is free or held as a whole, got a mask of coordinates")
     return mask.copy()
+
+
+def _mask_of_lights(
+    name: str, mask: np.ndarray, rows: np.ndarray, everything: bool
+) -> Bool[np.ndarray, "lights numbers"]:
+    """Returns which numbers of the lights' places are free: of directions two, that turn them.
+
+    **Arguments:** `rows`: which lights the name is of. `everything`: whether it is all of these.
+    """
+    some = mask.any(axis=1)
+    word = name.removeprefix("light_")
+    if (some != mask.all(axis=1)).any():
+        raise InputError(f"a light's {word} is free or held as a whole, got a mask of coordinates")
+    if not everything and (some & ~rows).any():
+        light = int(np.flatnonzero(some & ~rows)[0]) + 1
+        kind = "is directional" if name == "light_position" else "is not directional"
+        raise InputError(f"free[{name!r}] names light {light}, which {kind}")
+    mask = mask & rows[:, None]
+    return mask[:, :2] if name == "light_direction" else mask
 
 
 def _indices(what: str, name: str, count: int, array: np.ndarray) -> np.ndarray:
@@ -253,7 +285,7 @@ def _bounds(
     name: str, start: np.ndarray, unknown: np.ndarray, pair: Any, dtype: np.dtype
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the least and the greatest that numbers may be."""
-    lower, upper = (np.full(start.shape, x) for x in (-np.inf, np.inf))
+    lower, upper = (np.full(unknown.shape, x) for x in (-np.inf, np.inf))
     if pair is None:
         return lower, upper
     if name == "light_position":

@@ -5,7 +5,7 @@ dimensions. Near the scene w is 1 and u is the position. Far away u is the direc
 inverse distance, which the picture determines ever less, goes to 0. Around the start p0 a solver
 works on the tangent (gnomonic) plane of the sphere of these directions: three numbers of order one
 wherever the light is. Two turn the light's direction and only the third changes w, so that w > 0 is
-a bound on one number.
+a bound on one number. Of a directional light w stays 0, and the two that turn are all.
 """
 
 import equinox as eqx
@@ -45,6 +45,11 @@ class LightPosition(eqx.Module):
         w = jnp.where(w > 1 / _FARTHEST, w, 1 / _FARTHEST + (w - lax.stop_gradient(w)))
         return self.middle + u * (self.size / w)
 
+    def direction(self, y: Float[Array, " 2"]) -> Float[Array, " 3"]:
+        """Returns the direction that two coordinates stand for, as long as it is at the start."""
+        u = self.u + self.axes[0] * y[0] + self.axes[1] * y[1]
+        return u * (self.size / jnp.linalg.norm(u))
+
     def lower_bound(self) -> Float[Array, " 3"]:
         """Returns the least that the coordinates may be: the third's is the light at infinity."""
         has_direction = self.u_length > _AT_MIDDLE
@@ -74,13 +79,28 @@ def light_position_at(
     u, w = offset / scale, 1 / scale
     length = jnp.sqrt(jnp.sum(u**2) + w**2)
     u, w = u / length, jnp.maximum(w / length, 1 / _FARTHEST)
+    return LightPosition(middle, size, u, w, _axes(offset))
+
+
+def light_direction_at(direction: Float[Array, " 3"]) -> LightPosition:
+    """Returns the projective coordinates around a direction, whose w is 0.
+
+    **Arguments:** `direction`: of any length above 0, which takes the place of the scene's size.
+    """
+    axes, largest = _axes(direction), jnp.max(jnp.abs(direction))
+    per = 1 / jnp.where(largest > 0, largest, 1)
+    size = largest * jnp.linalg.norm(direction * per)
+    return LightPosition(jnp.zeros_like(direction), size, axes[2], jnp.zeros_like(size), axes)
+
+
+def _axes(offset: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """Returns unit vectors: two across a vector, and its own direction, by default z."""
+    largest = jnp.max(jnp.abs(offset))
     direction = offset / jnp.where(largest > 0, largest, 1)
-    direction = jnp.where(largest > 0, direction, jnp.eye(3, dtype=u.dtype)[2])
+    direction = jnp.where(largest > 0, direction, jnp.eye(3, dtype=offset.dtype)[2])
     direction = direction / jnp.linalg.norm(direction)
     # the coordinate axis most across the direction, made perpendicular
-    across = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(direction))]
+    across = jnp.eye(3, dtype=offset.dtype)[jnp.argmin(jnp.abs(direction))]
     first = jnp.cross(direction, across)
     first = first / jnp.linalg.norm(first)
-    return LightPosition(
-        middle, size, u, w, jnp.stack([first, jnp.cross(direction, first), direction])
-    )
+    return jnp.stack([first, jnp.cross(direction, first), direction])

@@ -8,7 +8,7 @@ the truth lies on a bound (colour 0, ks 0), in 7 steps on the nine spheres. Sigm
 slope vanishes at a bound, had not arrived after 60.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -18,11 +18,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...base.errors import InputError
-from ...scene.parameters import FITTED, MOST_REFRACTION
+from ...scene.parameters import FITTED, LIGHT_PLACES, MOST_REFRACTION, light_places, rows_of
 from ...scene.scene import Scene
 from ...xla.jit import compiled
 from .constraints import Constraint
-from .light_position import LightPosition, light_position_at, no_bound
+from .light_position import LightPosition, light_direction_at, light_position_at, no_bound
 
 Values = dict[str, Float[Array, "..."]]
 
@@ -84,6 +84,9 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
             continue
         if value(scene, name).size == 0:
             raise InputError(f"{name} is free, but the scene has no {FITTED[name].owner}")
+        if name in LIGHT_PLACES and not rows_of(scene, name).any():
+            has = "no light is" if name == "light_direction" else "all lights are"
+            raise InputError(f"{name} is free, but {has} directional: {light_places(scene)[0]}?")
         if name in _ABOVE_0 and not (value(scene, name) > 0).all():
             raise InputError(f"{name} is free: it must start above 0")
 
@@ -91,6 +94,34 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
 def value(scene: Scene, name: str) -> Array:
     """Returns the array of a scene that a free parameter's name stands for."""
     return ACCESSORS[name](scene)
+
+
+def default_free(scene: Scene) -> tuple[str, ...]:
+    """Returns what is free by default: materials but exponents, and where the lights are."""
+    return ("color", "ka", "kd", "ks", *light_places(scene))
+
+
+def distinct(names: Iterable[str]) -> dict[str, Callable[[Scene], Any]]:
+    """Returns the accessors of parameters by their names, those of one array only once."""
+    found: dict[str, str] = {}
+    for name in names:
+        found.setdefault(array_name(name), name)
+    return {name: ACCESSORS[name] for name in found.values()}
+
+
+def array_name(name: str) -> str:
+    """Returns the name of the array that a parameter's name stands for."""
+    parameter = FITTED[name]
+    return f"{parameter.owner}.{parameter.attribute or name}"
+
+
+def with_values(scene: Scene, values: Values) -> Scene:
+    """Returns a scene with other values of some parameters; of lights' places only their rows."""
+    for name, x in values.items():
+        if name in LIGHT_PLACES and not (rows := rows_of(scene, name)).all():
+            x = jnp.where(rows[:, None], x, value(scene, name))
+        scene = eqx.tree_at(ACCESSORS[name], scene, x)
+    return scene
 
 
 class Parameters(eqx.Module):
@@ -101,6 +132,7 @@ class Parameters(eqx.Module):
 
     scene: Scene  #: the start; what is not free stays as it is here
     light_positions: LightPosition | None  #: one for each light, if their positions are free
+    light_directions: LightPosition | None  #: one for each light, if their directions are free
     constraints: dict[str, Constraint]  #: of names that have some; their unknowns are flat
     free: tuple[str, ...] = eqx.field(static=True)
 
@@ -111,9 +143,11 @@ class Parameters(eqx.Module):
         constraints: dict[str, Constraint] | None = None,
     ):
         self.scene, self.free, self.constraints = scene, free, constraints or {}
-        self.light_positions = None
+        self.light_positions = self.light_directions = None
         if "light_position" in free:
             self.light_positions = _light_positions(scene)
+        if "light_direction" in free:
+            self.light_directions = _light_directions(scene)
 
     @compiled
     def start(self) -> Values:
@@ -133,6 +167,8 @@ class Parameters(eqx.Module):
             return jnp.zeros(3, self.scene.dtype)
         if name == "light_position":
             return jnp.zeros_like(self.scene.lights.position)
+        if name == "light_direction":
+            return jnp.zeros_like(self.scene.lights.position[:, :2])
         start = value(self.scene, name)
         if name == "exponent":
             start = jnp.maximum(start, _LEAST_EXPONENT)
@@ -171,12 +207,14 @@ class Parameters(eqx.Module):
         y = constraint.full(_between(y, *self._bounds(name, y)))
         natural = self._scaled(name, y, constraint.shared(jnp.asarray(self._unit(name), y.dtype)))
         held = jnp.ones_like(y) if name == "exposure" else value(self.scene, name)
-        return jnp.where(constraint.unknown < 0, held, natural)
+        return jnp.where(_held(name, constraint), held, natural)
 
     def _scaled(self, name: str, y: Array, unit: Array | float | int) -> Array:
         """Returns numbers in the scene's units."""
         if name == "light_position" and self.light_positions is not None:
             return jax.vmap(LightPosition.position)(self.light_positions, y)
+        if name == "light_direction" and self.light_directions is not None:
+            return jax.vmap(LightPosition.direction)(self.light_directions, y)
         if name in _UNIT:
             return _origin(name) + _fold(y) * unit
         if name in _ABSOLUTE:
@@ -188,10 +226,7 @@ class Parameters(eqx.Module):
         """Returns the scene that unknowns stand for, and the exposure."""
         natural = self.natural(unknowns)
         exposure = natural.pop("exposure", jnp.ones(3, self.scene.dtype))
-        if not natural:
-            return self.scene, exposure
-        leaves = lambda scene: [ACCESSORS[name](scene) for name in natural]
-        return eqx.tree_at(leaves, self.scene, list(natural.values())), exposure
+        return with_values(self.scene, natural), exposure
 
     @compiled
     def bounds(self) -> tuple[Values, Values]:
@@ -249,8 +284,11 @@ class Parameters(eqx.Module):
             if name == "exposure":
                 continue
             new, old = value(scene, name), value(self.scene, name)
-            new = jnp.where(constraint.unknown < 0, old, constraint.averaged(new))
-            scene = eqx.tree_at(ACCESSORS[name], scene, new)
+            if name == "light_direction":  # tied ones are the first one's
+                tied = new[constraint.first[jnp.maximum(constraint.unknown[:, 0], 0)] // 2]
+            else:
+                tied = constraint.averaged(new)
+            scene = with_values(scene, {name: jnp.where(_held(name, constraint), old, tied)})
         return Parameters(scene, self.free, self.constraints)
 
     def free_numbers(self, name: str) -> Bool[np.ndarray, "*shape"]:
@@ -265,6 +303,17 @@ class Parameters(eqx.Module):
 def _origin(name: str) -> int:
     """Returns the number of a parameter's unit range that is 0 to the solver."""
     return 1 if name in _REFRACTION else 0
+
+
+def _held(name: str, constraint: Constraint) -> Bool[Array, "*#shape"]:
+    """Returns which numbers of a parameter are held; of lights' places the whole rows."""
+    held = constraint.unknown < 0
+    return jnp.all(held, axis=1, keepdims=True) if name in LIGHT_PLACES else held
+
+
+@compiled
+def _light_directions(scene: Scene) -> LightPosition:
+    return jax.vmap(light_direction_at)(scene.lights.position)
 
 
 @compiled

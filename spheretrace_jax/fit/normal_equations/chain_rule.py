@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...scene.parameters import LIGHT_PLACES
 from .shading_equations import ShadingEquations, ShadingSums
 
 
@@ -41,8 +42,10 @@ def _shared_columns(
     places = [index.lights[name] for name in ("light_color",) if name in index.lights]
     units = []  # columns that are numbers of the rows as they are
     if shading.by_position:
-        places.append(index.lights["light_position"])
-        units.append(first + np.arange(shading.by_position))
+        for name in LIGHT_PLACES:
+            if name in index.lights:
+                places.append(index.lights[name])
+                units.append(first + np.arange(shading.by_position))
         first += shading.by_position
     if equations.turns is not None:
         spheres = np.arange(shading.context.tables.sphere_count)

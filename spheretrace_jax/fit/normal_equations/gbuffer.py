@@ -19,7 +19,7 @@ from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
 from ...xla.sharding import device_count, divide
-from ..model.parameters import ACCESSORS
+from ..model.parameters import distinct
 from .cells import (
     CELLS,
     SAMPLES,
@@ -63,7 +63,8 @@ class GBuffer(eqx.Module):
 
 def fixed_arrays(scene: Scene, free: tuple[str, ...]) -> list[Array]:
     """Returns the arrays of a scene that a fit leaves as they are."""
-    places = lambda scene: [ACCESSORS[name](scene) for name in free if name != "exposure"]
+    accessors = distinct(name for name in free if name != "exposure").values()
+    places = lambda scene: [accessor(scene) for accessor in accessors]
     fixed = eqx.tree_at(places, scene, replace_fn=lambda _: None)
     return [x for x in jax.tree.leaves(fixed) if eqx.is_array(x)]
 

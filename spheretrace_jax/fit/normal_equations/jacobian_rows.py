@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ...base.vec import SplitVec, Vec
 from ...tracing.context import TraceContext
 from ...tracing.tables import PixelTables
-from ..model.parameters import CAMERA, LIGHTS, SPHERES
+from ..model.parameters import CAMERA, SPHERES, array_name, distinct
 from .parameter_index import ParameterIndex
 
 Rows = Float[Array, "columns 3 pixels"]
@@ -54,7 +54,8 @@ def color_and_rows(
     spread = lambda x: jnp.broadcast_to(x[..., None], (*x.shape, count))
     tables = jax.tree.map(spread, tables)
     at_columns = lambda tables: [TABLE_COLUMNS[name](tables) for name in index.spheres]
-    at_lights = lambda scene: [LIGHTS[name](scene) for name in index.lights]
+    arrays = distinct(index.lights)
+    at_lights = lambda scene: [accessor(scene) for accessor in arrays.values()]
 
     def reverse(columns: list, lights: list) -> Vec:
         moved = context
@@ -79,7 +80,10 @@ def color_and_rows(
         # of colours and centres the three parts side by side; planes have no free parameters
         n = len(context.scene.spheres)
         parts = [jnp.stack(jax.tree.leaves(c), axis=1)[:n] for c in columns]
-        parts = [part.reshape(-1, 3, count) for part in (*parts, *lights)]
+        # both names of lights' places stand for one array
+        of_array = dict(zip(map(array_name, arrays), lights, strict=True))
+        parts += [of_array[array_name(name)] for name in index.lights]
+        parts = [part.reshape(-1, 3, count) for part in parts]
         if index.camera:
             parts.append(_by_camera(see, context, index) * slope[None])
         return jnp.concatenate([jnp.zeros((0, *slope.shape), slope.dtype), *parts])

@@ -1,25 +1,28 @@
 """Linear shading: colours as linear functions of a few numbers for each shading sample.
 
 With the lecture's C = ka A S + sum_l C_l (kd u_l S + ks h_l), u_l = lit N.L and h_l the highlight,
-a sample's colour is linear in X = (1, u_l, h_l), with factors that are the same for all samples of
-an object. So are its derivatives: X, the derivatives of u_l and h_l by the light's position, that
-of h_l by the exponent, and that of u_l by the coat's index of refraction, are all that a step
+both as the light's distance leaves them, a sample's colour is linear in X = (1, u_l, h_l), with
+factors that are the same for all samples of an object. So are its derivatives: X, the derivatives
+of u_l and h_l by the light's position, that of h_l by the exponent, and that of u_l by the coat's
+index of refraction, are all that a step
 evaluates.
 """
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
 from ...base.types import Ids, Index, PixelArray
-from ...base.vec import Vec, components, grey, vec, where, zeros
+from ...base.vec import Vec, components, grey, where, zeros
+from ...scene.light import Light, make_light, map_lights
+from ...scene.parameters import LIGHT_PLACES
 from ...tracing.context import TraceContext
 from ...tracing.hit import Hit, Surface
 from ...tracing.material import MOST_LIGHTS, finish_of, local_color, sum_lights
@@ -28,8 +31,8 @@ from ...xla.loops import loop
 from .jacobian_rows import TABLE_COLUMNS
 from .parameter_index import ParameterIndex
 
-Terms = Callable[[Vec, bool, Finish], tuple[PixelArray, PixelArray]]
-"""From a light's position, whether it may be blocked, and finishes, to u and h of samples."""
+Terms = Callable[[Light, bool, Finish], tuple[PixelArray, PixelArray]]
+"""From a light, whether it may be blocked, and finishes, to u and h of samples."""
 
 Basis = Float[Array, "_ _ ..."]
 """The numbers of samples; one channel stands for all three where nothing is tinted."""
@@ -78,8 +81,8 @@ class LinearShading(eqx.Module):
 
     @property
     def by_position(self) -> int:
-        """Returns how many free numbers the lights' positions have."""
-        return 3 * self.lights if "light_position" in self.index.lights else 0
+        """Returns how many numbers the lights' positions and directions have, if any is free."""
+        return 3 * self.lights if set(LIGHT_PLACES) & set(self.index.lights) else 0
 
     @property
     def numbers(self) -> int:
@@ -89,17 +92,23 @@ class LinearShading(eqx.Module):
     def basis(self, ids: Ids, terms: Terms, tint: Vec | None) -> Basis:
         """Returns the numbers of samples. **Arguments:** `ids`: of the objects that they show."""
         context, lights = self.context, self.context.scene.lights
-        finish = finish_of(context, ids)
+        finish, needs = finish_of(context, ids), context.needs
         none = jnp.zeros((0, *ids.shape), context.dtype)
-        of_light = lambda place, shadows: self._of_light(
-            lambda place, finish: terms(vec(place), shadows, finish), place, finish, none
-        )
+
+        def of_light(
+            place: Float[Array, " 3"], falloff: PixelArray, directional: bool, shadows: bool
+        ) -> tuple[Float[Array, "_ ..."], ...]:
+            fades = falloff if needs.falloff else None
+            of = lambda place, finish: terms(make_light(place, fades, directional), shadows, finish)
+            return self._of_light(of, place, finish, none)
+
         if self.lights <= MOST_LIGHTS:
-            flags = [context.needs.shadows_of(k) for k in range(self.lights)]
-            each = [of_light(*pair) for pair in zip(lights.position, flags, strict=True)]
+            flags = [needs.shadows_of(k) for k in range(self.lights)]
+            rows = zip(lights.position, lights.falloff, lights.directional, flags, strict=True)
+            each = [of_light(*row) for row in rows]
             parts = [jnp.concatenate(x) for x in zip(*each, strict=True)]
         else:
-            each = lax.map(lambda place: of_light(place, context.needs.shadows), lights.position)
+            each = map_lights(partial(of_light, shadows=needs.shadows), lights)
             parts = [x.reshape(-1, *ids.shape) for x in each]
         one = jnp.ones((1, *ids.shape), context.dtype)
         u, h, by_exponent, by_ior, u_slope, h_slope = parts or [none] * 6

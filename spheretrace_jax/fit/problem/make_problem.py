@@ -12,6 +12,7 @@ from ...base.errors import InputError
 from ...base.types import Highlight
 from ...scene.arrays import is_traced
 from ...scene.needs import needs
+from ...scene.parameters import LIGHT_PLACES
 from ...scene.scene import Scene, check_scene
 from ...scene.settings import render_settings
 from ...xla.sharding import gather_on_host, replicate
@@ -23,6 +24,7 @@ from ..model.parameters import (
     Parameters,
     check_free,
     check_present,
+    default_free,
     value,
 )
 from ..model.target import make_target
@@ -37,7 +39,7 @@ _MAY_DIFFER = frozenset((*LIGHTS, *CAMERA, "exposure"))
 def make_problem(
     scene: Scene | Sequence[Scene],
     target: Any,
-    free: Free,
+    free: Free | None,
     *,
     bounces: int,
     samples: int = 1,
@@ -62,10 +64,12 @@ def make_problem(
             "fit goes step by step from the host, so jit, vmap and grad cannot trace it: call it "
             "outside, and inside solution(found.problem), the same fit as a pure function"
         )
-    asked_free, free = free, free_names(free)
-    check_free(free)
+    if free is not None:
+        check_free(free_names(free))
     several = isinstance(scene, Iterable)
     scenes = [check_scene(one) for one in (scene if several else [scene])]
+    asked_free = default_free(scenes[0]) if free is None and scenes else free or ()
+    free = free_names(asked_free)
     target, counts = gather_on_host((target, counts))
     images = list(target) if several or isinstance(target, list | tuple) else [target]
     if len(scenes) != len(images) or not scenes:
@@ -149,6 +153,8 @@ def _check_shared(scenes: list[Scene], free: tuple[str, ...], per_picture: froze
             if not bool(eqx.tree_equal(getattr(first, owner), getattr(other, owner))):
                 raise InputError(f"scene {k} has other {owner} than the first: they must be equal")
         for name in sorted((_MAY_DIFFER - {"exposure"}) & set(free) - per_picture):
+            if name in LIGHT_PLACES and first.lights.directional != other.lights.directional:
+                raise InputError(f"scene {k} has other directional lights than the first")
             if not bool(eqx.tree_equal(value(first, name), value(other, name))):
                 raise InputError(
                     f"{name} is free and starts differently in scene {k}: name it in own, or "

@@ -12,10 +12,11 @@ from jaxtyping import Array, Bool, Float, PyTree
 from ...base.types import Picture
 from ...rendering.render import draw_replicated
 from ...scene.arrays import is_traced
+from ...scene.parameters import LIGHT_PLACES
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
-from ..model.parameters import ACCESSORS, Parameters
+from ..model.parameters import Parameters, value, with_values
 from ..model.target import Target
 from ..normal_equations.gbuffer import GBuffer, fixed_arrays, make_gbuffer
 from ..normal_equations.normal_equations import NormalEquations, normal_equations
@@ -111,8 +112,8 @@ class Problem(eqx.Module):
             first = scenes[0]
             shared = self.per_picture | {"exposure"}
             names = [n for n in self.parameters[0].free if n not in shared]
-            leaves = lambda s: [ACCESSORS[name](s) for name in names]
-            starts = [eqx.tree_at(leaves, p.scene, leaves(first)) for p in self.parameters]
+            shared_values = {name: value(first, name) for name in names}
+            starts = [with_values(p.scene, shared_values) for p in self.parameters]
         pairs = zip(starts, self.parameters, strict=True)
         parameters = tuple(p.starting_at(scene) for scene, p in pairs)
         return eqx.tree_at(lambda p: p.parameters, self, parameters)
@@ -138,7 +139,7 @@ class Problem(eqx.Module):
     @property
     def edges_move(self) -> bool:
         """Tells whether the lights move edges of shadows over pixels, which are covered by area."""
-        free = "light_position" in self.parameters[0].free
+        free = bool(set(LIGHT_PLACES) & set(self.parameters[0].free))
         fixed = any(buffer is not None for buffer in self.buffers)
         return free and fixed and any(s.antialias for s in self.settings)
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, PyTree, Scalar
 
 from ...base.errors import InputError
 from ...scene.arrays import described
+from ...scene.parameters import LIGHT_PLACES
 from ...xla.jit import compiled
 from ..normal_equations.normal_equations import NormalEquations
 from ..problem.compression import compress, compressed_residual
@@ -214,7 +215,8 @@ class Driver:
             before, values = values, self.solve(problem, values)
             if not problem.edges_move or self.stopped_by:
                 break
-            lights = (ravel_pytree(v["light_position"])[0] for v in (before, values))
+            of_lights = lambda v: {n: v[n] for n in LIGHT_PLACES if n in v}
+            lights = (ravel_pytree(of_lights(v))[0] for v in (before, values))
             moved = float(np.max(np.abs(np.subtract(*map(np.asarray, lights)))))
             if moved <= _STILL * self.tolerance:
                 break

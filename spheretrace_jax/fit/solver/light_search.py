@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...base.errors import InputError
+from ...scene.parameters import LIGHT_PLACES, rows_of
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ..model.constraints import Constraint
@@ -21,7 +22,10 @@ from ..model.target import Target
 from ..problem.problem import Problem
 from .exponent_search import with_best_exponents, with_exponents
 from .variable_projection import (
+    LightTerms,
+    SampledPixels,
     best_residual,
+    known_terms,
     projected_costs,
     refine_lights,
     sample_pixels,
@@ -71,7 +75,7 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
     last = {"scene": [], "lights": [problem], "auto": problem_starts(problem, "scene")}[start]
     starts_of = starts_from_nothing if start == "auto" else starts_from_lights
     pictures = zip(problem.parameters, problem.targets, problem.settings, strict=True)
-    if "light_position" not in problem.per_picture:
+    if not set(LIGHT_PLACES) & problem.per_picture:
         pictures = [next(pictures)]
     scenes = [starts_of(*picture) for picture in pictures]
     for start_scenes in zip(*scenes, strict=False):
@@ -86,7 +90,7 @@ def is_separable(problem: Problem) -> bool:
     The pictures must be linear in what is free of the spheres, and the lights free.
     """
     parameters = problem.parameters[0]
-    lights_only = not GEOMETRY & set(parameters.free) and "light_position" in parameters.free
+    lights_only = not GEOMETRY & set(parameters.free) and bool(free_places(parameters))
     linear = all(
         not s.needs.textures and not (s.bounces and s.needs.bounces) for s in problem.settings
     )
@@ -96,25 +100,29 @@ def is_separable(problem: Problem) -> bool:
 
 
 def _lights_apart(problem: Problem) -> bool:
-    """Tells whether the positions of all lights are unknowns of their own, or held."""
-    constraints = (p.constraints.get("light_position") for p in problem.parameters)
-    return not any(c is not None and c.tied for c in constraints)
+    """Tells whether the places of all lights are unknowns of their own, or held."""
+    return not any(c.tied for p in problem.parameters for c in light_constraints(p).values())
+
+
+def free_places(parameters: Parameters) -> tuple[str, ...]:
+    """Returns those of the lights' positions and directions that are free."""
+    return tuple(name for name in LIGHT_PLACES if name in parameters.free)
 
 
 def light_constraints(parameters: Parameters) -> dict[str, Constraint]:
-    """Returns the constraints of the lights' positions."""
-    return {n: c for n, c in parameters.constraints.items() if n == "light_position"}
+    """Returns the constraints of the lights' positions and directions."""
+    return {n: c for n, c in parameters.constraints.items() if n in LIGHT_PLACES}
 
 
 def starts_from_lights(
     parameters: Parameters, target: Target, settings: RenderSettings
 ) -> Iterator[Scene]:
     """Yields one scene to start from: the lights downhill from where they are in this scene."""
-    found = []
+    found, places = [], free_places(parameters)
     for samples in with_exponents(sample_pixels(parameters, target, settings), parameters):
         lights = parameters.scene.lights.position
-        if "light_position" in parameters.free:
-            lights = refine_lights(samples, lights, light_constraints(parameters))
+        if places:
+            lights = refine_lights(samples, lights, places, light_constraints(parameters))
         found.append((float(jnp.sum(best_residual(samples, lights) ** 2)), samples, lights))
     _, samples, lights = min(found, key=lambda of: of[0])
     yield scene_with(with_best_exponents(samples, parameters, lights), parameters, lights)
@@ -128,41 +136,71 @@ def starts_from_nothing(
     **Arguments:** `parameters`: of their scene the geometry, the number of lights, and what is not
     free, are used.
     """
-    if "light_position" not in parameters.free:
+    places = free_places(parameters)
+    if not places:
         yield from starts_from_lights(parameters, target, settings)
         return
     scene = parameters.scene
-    free = np.flatnonzero(parameters.free_numbers("light_position").any(axis=1)).tolist()
-    middle, size = (np.asarray(x, np.float64) for x in bounding_sphere(scene))
-    grid = np.concatenate(
-        [middle + size * distance * _directions(_DIRECTIONS) for distance in _DISTANCES]
-    )
+    rows = [parameters.free_numbers(name).any(axis=1) & rows_of(scene, name) for name in places]
+    free = np.flatnonzero(np.any(rows, axis=0)).tolist()
     best = lambda terms, among, k: int(np.argmin(projected_costs(samples, terms, among, k)))
-    count, known = len(scene.lights), np.asarray(scene.lights.position, np.float64)
     tried = []
     for samples in with_exponents(sample_pixels(parameters, target, settings), parameters):
-        grid_terms = try_lights(samples, grid)
-        dark = jnp.zeros((count, *grid_terms.shape[1:]), grid_terms.dtype)
-        if len(free) < count:
-            dark = try_lights(samples, known).at[np.array(free)].set(0)
-        first = projected_costs(samples, dark, grid_terms, free[0])
-        tried.append((float(first.min()), samples, grid_terms, dark, first))
-    _, samples, grid_terms, dark, first = min(tried, key=lambda of: of[0])
-    for i in _spread(grid - middle, np.argsort(first))[:_STARTS]:
+        grids = _Grids(samples)
+        dark = known_terms(samples).at[np.array(free)].set(0)
+        first = projected_costs(samples, dark, grids.of(free[0])[1], free[0])
+        tried.append((float(first.min()), samples, grids, dark, first))
+    _, samples, grids, dark, first = min(tried, key=lambda of: of[0])
+    known = np.asarray(scene.lights.position, np.float64)
+    grid, grid_terms = grids.of(free[0])
+    for i in _spread(grids.offset(free[0], grid), np.argsort(first))[:_STARTS]:
         lights, terms = known.copy(), dark.at[free[0]].set(grid_terms[i])
-        lights[free] = grid[i]
+        lights[free[0]] = grid[i]
         for k in [*free[1:], *(free if len(free) > 1 else [])]:
-            j = best(terms, grid_terms, k)
-            lights[k], terms = grid[j], terms.at[k].set(grid_terms[j])
+            every, every_terms = grids.of(k)
+            j = best(terms, every_terms, k)
+            lights[k], terms = every[j], terms.at[k].set(every_terms[j])
         for angle in _ZOOMS:
             for k in free:
-                near = middle + _neighbors(lights[k] - middle, np.radians(angle))
-                near_terms = try_lights(samples, near)
+                near = grids.around(k, lights[k], np.radians(angle))
+                near_terms = try_lights(samples, k, near)
                 j = best(terms, near_terms, k)
                 lights[k], terms = near[j], terms.at[k].set(near_terms[j])
         lights = jnp.asarray(lights, scene.dtype)
-        refined = refine_lights(samples, lights, light_constraints(parameters))
+        refined = refine_lights(samples, lights, places, light_constraints(parameters))
         yield scene_with(with_best_exponents(samples, parameters, refined), parameters, refined)
+
+
+class _Grids:
+    """The places that are tried for lights: points around the scene, or directions."""
+
+    def __init__(self, samples: SampledPixels):
+        self.samples, self.lights = samples, samples.scene.lights
+        self.middle, self.size = (np.asarray(x, np.float64) for x in bounding_sphere(samples.scene))
+        self._known: dict[tuple[bool, float], tuple[np.ndarray, LightTerms]] = {}
+
+    def of(self, k: int) -> tuple[Float[np.ndarray, "c 3"], LightTerms]:
+        """Returns the first places for a light, and its terms there."""
+        alike = self.lights.directional[k], float(self.lights.falloff[k])
+        if alike not in self._known:
+            places = _directions(_DIRECTIONS)
+            if not alike[0]:
+                shells = [self.size * distance * places for distance in _DISTANCES]
+                places = self.middle + np.concatenate(shells)
+            self._known[alike] = places, try_lights(self.samples, k, places)
+        return self._known[alike]
+
+    def offset(self, k: int, places: Float[np.ndarray, "*c 3"]) -> Float[np.ndarray, "*c 3"]:
+        """Returns the vectors to a light's places from the middle of the scene."""
+        return places if self.lights.directional[k] else places - self.middle
+
+    def around(
+        self, k: int, place: Float[np.ndarray, " 3"], angle: float
+    ) -> Float[np.ndarray, "c 3"]:
+        """Returns a finer grid around a light's place. **Arguments:** as for `_neighbors`."""
+        if self.lights.directional[k]:
+            return _neighbors(place, angle, stretches=(1.0,))
+        return self.middle + _neighbors(place - self.middle, angle, _STRETCHES)
 
 
 def _directions(count: int) -> Float[np.ndarray, "count 3"]:
@@ -173,7 +211,9 @@ def _directions(count: int) -> Float[np.ndarray, "count 3"]:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
 
 
-def _neighbors(offset: Float[np.ndarray, " 3"], angle: float) -> Float[np.ndarray, "c 3"]:
+def _neighbors(
+    offset: Float[np.ndarray, " 3"], angle: float, stretches: tuple[float, ...]
+) -> Float[np.ndarray, "c 3"]:
     """Returns vectors around one, turned by up to `angle` and stretched."""
     length = np.linalg.norm(offset)
     direction = offset / length
@@ -183,7 +223,7 @@ def _neighbors(offset: Float[np.ndarray, " 3"], angle: float) -> Float[np.ndarra
     steps = np.linspace(-np.tan(angle), np.tan(angle), _STEPS)
     turned = [direction + a * first + b * second for a in steps for b in steps]
     turned = np.stack([v / np.linalg.norm(v) for v in turned])
-    return np.concatenate([turned * length * stretch for stretch in _STRETCHES])
+    return np.concatenate([turned * length * stretch for stretch in stretches])
 
 
 def _spread(vectors: Float[np.ndarray, "c 3"], order: Int[np.ndarray, " c"]) -> list[int]:

@@ -18,10 +18,11 @@ import optimistix as optx
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ...base.types import Ids, Index
-from ...base.vec import vec
+from ...base.types import Ids, Index, PixelArray
 from ...rendering.samples import sample_rays
 from ...scene.camera import Ray
+from ...scene.light import make_light, map_lights
+from ...scene.lights import Lights
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...tracing.context import TraceContext, build_context
@@ -170,34 +171,39 @@ def _center_rays(context: TraceContext, pixels: Ids) -> Ray:
     return sample_rays(context.scene, context.settings, pixels, half, half)
 
 
-def terms_at(sample: SampledPixels, positions: Float[Array, "lights 3"]) -> LightTerms:
-    """Returns the terms of lights at some positions."""
+def terms_at(sample: SampledPixels, lights: Lights) -> LightTerms:
+    """Returns the terms of lights, which may be others than the scene's."""
     context = build_context(sample.scene, sample.settings, accelerated=False)
     ray = _center_rays(context, sample.pixels)
-    hit, shadows = closest_hit(context, ray), context.needs.shadows
+    hit, needs = closest_hit(context, ray), context.needs
 
-    def one(light: Float[Array, " 3"]) -> Float[Array, "2 pixels"]:
-        return jnp.stack(light_terms_at(context, ray, hit, vec(light), shadows))
+    def one(
+        position: Float[Array, " 3"], falloff: PixelArray, directional: bool
+    ) -> Float[Array, "2 pixels"]:
+        light = make_light(position, falloff if needs.falloff else None, directional)
+        return jnp.stack(light_terms_at(context, ray, hit, light, needs.shadows))
 
-    return lax.map(one, positions)
+    return map_lights(one, lights)
 
 
 @compiled
 def refine_lights(
     sample: SampledPixels,
     lights: Float[Array, "lights 3"],
+    places: tuple[str, ...],
     constraints: dict[str, Constraint],
 ) -> Float[Array, "lights 3"]:
     """Moves lights downhill to where the picture is nearest to the target.
 
-    **Arguments:** `constraints`: of the lights' positions.
+    **Arguments:** `places`: those of `LIGHT_PLACES` that are free. `constraints`: theirs.
     """
     scene = eqx.tree_at(lambda s: s.lights.position, sample.scene, lights)
-    parameters = Parameters(scene, ("light_position",), constraints)
+    parameters = Parameters(scene, places, constraints)
 
     def residual(values: PyTree, args: tuple) -> Float[Array, "pixels 3"]:
         sample, parameters = args
-        return sample.residual(terms_at(sample, _positions(parameters, values)))
+        scene, _ = parameters.scene_at(values)
+        return sample.residual(terms_at(sample, scene.lights))
 
     solver = BoundedLevenbergMarquardt(_TOLERANCE, _TOLERANCE, *parameters.bounds())
     found = optx.least_squares(
@@ -208,18 +214,15 @@ def refine_lights(
         max_steps=_MOST_STEPS,
         throw=False,
     )
-    return _positions(parameters, found.value)
-
-
-def _positions(parameters: Parameters, values: PyTree) -> Float[Array, "lights 3"]:
-    return parameters.natural(values)["light_position"]
+    return parameters.scene_at(found.value)[0].lights.position
 
 
 def scene_with(
     sample: SampledPixels, parameters: Parameters, lights: Float[Array, "lights 3"]
 ) -> Scene:
     """Returns the scene with these lights and the materials that suit them best."""
-    x = np.asarray(_materials(sample, try_lights(sample, np.asarray(lights))), np.float64)
+    moved = eqx.tree_at(lambda x: x.position, sample.scene.lights, lights)
+    x = np.asarray(_materials(sample, _terms(sample, moved)), np.float64)
     scene, spheres = sample.scene, sample.scene.spheres
     ambient = np.mean(np.asarray(scene.lights.color, np.float64), axis=0)
     a = x[:, :3] / np.where(ambient > 0, ambient, 1)
@@ -244,7 +247,8 @@ def best_residual(
     sample: SampledPixels, lights: Float[Array, "lights 3"]
 ) -> Float[Array, "pixels 3"]:
     """Returns the residual of lights with the materials that suit them best, from the host."""
-    terms = try_lights(sample, np.asarray(lights))
+    moved = eqx.tree_at(lambda x: x.position, sample.scene.lights, lights)
+    terms = _terms(sample, moved)
     sums, materials = sample.sums(terms), _materials(sample, terms)
     return sample.weight * (linear_shading(materials[sample.sphere], sums) - sample.image)
 
@@ -254,14 +258,29 @@ def _materials(sample: SampledPixels, terms: LightTerms) -> Materials:
     return sample.materials(sample.sums(terms))
 
 
-def try_lights(sample: SampledPixels, positions: Float[np.ndarray, "lights 3"]) -> LightTerms:
-    """Returns `terms_at` for any number of lights, block by block, from the host."""
-    return _in_blocks(partial(_terms, sample), jnp.asarray(positions, sample.scene.dtype))
+def known_terms(sample: SampledPixels) -> LightTerms:
+    """Returns `terms_at` for the scene's lights, from the host."""
+    return _terms(sample, sample.scene.lights)
+
+
+def try_lights(
+    sample: SampledPixels, k: int, positions: Float[np.ndarray, "lights 3"]
+) -> LightTerms:
+    """Returns `terms_at` for a light of the scene at any number of places, from the host.
+
+    **Arguments:** `k`: the light, of which the kind and the fall-off are. `positions`: or
+    directions.
+    """
+    lights, dtype = sample.scene.lights, sample.scene.dtype
+    directional, falloff = lights.directional[k], lights.falloff[k]
+    white = jnp.ones(3, dtype)
+    at = lambda block: _terms(sample, Lights(block, white, directional, falloff))
+    return _in_blocks(at, jnp.asarray(positions, dtype))
 
 
 @compiled
-def _terms(sample: SampledPixels, positions: Float[Array, "lights 3"]) -> LightTerms:
-    return terms_at(sample, positions)
+def _terms(sample: SampledPixels, lights: Lights) -> LightTerms:
+    return terms_at(sample, lights)
 
 
 def projected_costs(

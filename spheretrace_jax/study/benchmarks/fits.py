@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ...base.types import Picture
 from ...fit import fit
 from ...fit.fit import DEFAULT_FREE
-from ...fit.model.parameters import ACCESSORS
+from ...fit.model.parameters import ACCESSORS, default_free
 from ...fit.model.products import PRODUCTS
 from ...fit.solver.driver import Progress
 from ...rendering.render import render
@@ -83,7 +83,7 @@ def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
     drawn: dict[str, Any] = dict(highlight=settings.highlight, bounces=settings.bounces)
     target = render(truth, width=settings.fit_size, height=settings.fit_size, **drawn)
     settings.say("fit: what the picture determines")
-    uncertainty = uncertainty_at(truth, target, DEFAULT_FREE, _NOISE, **drawn)
+    uncertainty = uncertainty_at(truth, target, default_free(truth), _NOISE, **drawn)
     determined = uncertainty.of(_products) < _LARGEST_DEVIATION
     start = displaced(truth)
     distance = np.linalg.norm(truth.lights.position, axis=-1, keepdims=True)
@@ -115,8 +115,11 @@ def _solver_fits(scene: Scene, settings: Settings) -> Diagram:
 def matt_fits(scene: Scene, settings: Settings) -> Iterator[Diagram]:
     """Yields the diagram of fits of colours and a light, also by Mitsuba with Adam if installed.
 
-    All spheres are matt. Each program fits its own picture, which it can match exactly.
+    All spheres are matt. Each program fits its own picture, which it can match exactly. Mitsuba's
+    fit moves a light at a point, without our fall-off.
     """
+    if scene.lights.directional[0] or scene.lights.falloff[0]:
+        return
     try:
         mitsuba()
     except ImportError:

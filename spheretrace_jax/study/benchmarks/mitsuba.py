@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...scene.camera import view_frame
+from ...scene.lights import Lights
 from ...scene.scene import Scene
 
 LIGHT = "light.position"
@@ -54,8 +55,11 @@ def matt(scene: Scene) -> Scene:
     shine = lambda s: (s.spheres.ka, s.spheres.ks, s.spheres.kgr, s.spheres.kt)
     scene = eqx.tree_at(shine, scene.with_antialias(0), replace_fn=jnp.zeros_like)
     scene = eqx.tree_at(lambda s: s.spheres.ior, scene, replace_fn=jnp.ones_like)
-    first = lambda s: (s.lights.position, s.lights.color)
-    return eqx.tree_at(first, scene, [x[:1] for x in first(scene)])
+    lights = scene.lights
+    first = Lights(
+        lights.position[:1], lights.color[:1], lights.directional[:1], lights.falloff[:1]
+    )
+    return eqx.tree_at(lambda s: s.lights, scene, first)
 
 
 def fitted(scene: Scene) -> Float[np.ndarray, "rows 3"]:

@@ -125,9 +125,10 @@ def cloud(scene: Scene, count: int) -> Scene:
 
 
 def lit_by(scene: Scene, count: int) -> Scene:
-    """Replaces the lights by `count` lights at the distance of the first, with one light's sum."""
+    """Replaces the lights by `count` points at the distance of the first, with one light's sum."""
     rng = np.random.default_rng(0)
-    light = scene.lights.position[0] if len(scene.lights) else jnp.full(3, 1000, scene.dtype)
+    near = scene.lights.numbers(directional=False)
+    light = scene.lights.position[near[0]] if near else jnp.full(3, 1000, scene.dtype)
     position = rng.standard_normal((count, 3))
     position *= float(jnp.linalg.norm(light)) / np.linalg.norm(position, axis=1, keepdims=True)
     position[0] = light

@@ -12,8 +12,7 @@ from ...base.types import Highlight, Picture
 from ...fit.diagnosis.identifiability import identify
 from ...fit.diagnosis.trust import together
 from ...fit.diagnosis.uncertainty import Uncertainty, estimate
-from ...fit.fit import DEFAULT_FREE
-from ...fit.model.parameters import GEOMETRY, value
+from ...fit.model.parameters import GEOMETRY, default_free, value
 from ...fit.model.products import PRODUCTS
 from ...fit.problem.labels import labels_of
 from ...fit.problem.make_problem import make_problem
@@ -100,7 +99,7 @@ def check_condition(
     scene = check_scene(scene)
     with jax.enable_x64(True):
         if free is None:
-            free = [name for name in DEFAULT_FREE if value(scene, name).size]
+            free = [name for name in default_free(scene) if value(scene, name).size]
         if not free:
             raise InputError("the scene has neither spheres nor lights: nothing can be free")
         if not GEOMETRY & set(free):

@@ -128,7 +128,7 @@ class _Lengths:
     def __init__(self, scene: Scene):
         s, p = jax.tree.map(np.asarray, (scene.spheres, scene.planes))
         self.center, self.radius, self.point, self.normal = s.center, s.radius, p.point, p.normal
-        self.lights = np.asarray(scene.lights.position)
+        self.lights = scene.lights
 
     def name(self, i: int) -> str:
         """Names an object, in words."""
@@ -243,9 +243,11 @@ def _explain_parting(
 def _explain_shadow(scene: _Lengths, double: RayRecord, b: int, light: int) -> Explanation:
     """Explains that a light is visible from a point in one precision only."""
     point, lit_object = np.asarray(double.point[b]), int(double.id[b])
-    to_light = scene.lights[light] - point
+    directional = scene.lights.directional[light]
+    to_light = np.asarray(scene.lights.position[light]) - (0 if directional else point)
     distance = float(np.linalg.norm(to_light))
-    blocker = scene.nearest_edge(point, to_light / distance, distance)
+    end = np.inf if directional else distance
+    blocker = scene.nearest_edge(point, to_light / distance, end)
     growth, i = max((scene.growth(i, point), i) for i in (lit_object, blocker))
     if growth * _EPS > _LARGEST_TIE:
         return Explanation("cancellation", growth, scene.name(i), b)

@@ -21,6 +21,9 @@ _STEP = 1e-5
 
 _STEPS = (-2 * _STEP, -_STEP, _STEP, 2 * _STEP)
 
+# The array that is 0 where a light has no fall-off.
+_FALLOFF = "lights.falloff"
+
 # Compiler options for programs that run once on few pixels: compilation takes longest. The nine
 # spheres' reverse mode with edges compiles in 34 s so, with all optimisations in 80.
 _FAST_COMPILATION = {"xla_backend_optimization_level": 0}
@@ -191,6 +194,8 @@ def _rows(
             continue
         size = float(jnp.max(jnp.abs(array))) or 1.0
         direction = jnp.asarray(rng.standard_normal(array.shape) * size)
+        if name == _FALLOFF:  # 0 is none, not a small one
+            direction = jnp.where(array > 0, direction, 0)
         tangent = jax.tree.unflatten(structure, [*zeros[:k], direction, *zeros[k + 1 :]])
         moved = lambda h, by=tangent: jax.tree.map(lambda a, b: a + h * b, scene, by)
         both = {h: tuple(map(np.asarray, forward(moved(h), tangent))) for h in (0.0, *_STEPS)}
@@ -228,6 +233,8 @@ def _idle(scene: Scene, every: bool) -> dict[str, str]:
             }
     if not (every or scene.sky is not None or np.asarray(scene.background).any()):
         idle["background"] = "the background is black"
+    if not np.asarray(scene.lights.falloff).any():
+        idle[_FALLOFF] = "no light has a fall-off"
     sizes = {name: leaf.size for name, leaf in _arrays(scene).items()}
     idle |= {n: f"the scene has no {n.partition('.')[0]}" for n, size in sizes.items() if not size}
     return {name: reason for name, reason in idle.items() if name in sizes}

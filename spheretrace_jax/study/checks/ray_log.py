@@ -6,15 +6,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ...base.vec import components, vec
+from ...base.vec import components
 from ...rendering.samples import sample_rays
 from ...scene.camera import Ray
+from ...scene.light import each_light
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...tracing.context import TraceContext, build_context
 from ...tracing.path import Path, first_path, next_path, shade_path
 from ...tracing.queries import closest_hit, light_visible
-from ...tracing.shading import HIGHLIGHTS, lambert, power, toward_light
+from ...tracing.shading import HIGHLIGHTS, lambert, power
 from ...tracing.surface import surface_at
 from ...xla.jit import compiled
 
@@ -76,16 +77,17 @@ def _record(context: TraceContext, path: Path) -> RayRecord:
     surface = surface_at(context, ray, hit)
     ks, exponent = context.material(hit.id, lambda m: (m.ks, m.exponent))
     lit, turned, shine, grown = [], [], jnp.zeros_like(ks), jnp.zeros_like(ks)
-    for position, light_color in zip(lights.position, lights.color, strict=True):
-        light = vec(position)
-        to_light = toward_light(surface, light)
+    each = each_light(lights, context.needs.falloff)
+    for light, light_color in zip(each, lights.color, strict=True):
+        to_light = light.direction(surface.point)
         lit.append((hit.id >= 0) & light_visible(context, surface.point, hit, light))
         turned.append(lambert(surface, to_light) > 0)
         cosine = HIGHLIGHTS[context.settings.highlight].cosine(surface, to_light, ray.direction)
         shows = lit[-1] & turned[-1] & (cosine > 0)
-        each = jnp.where(shows, power(cosine, exponent), 0) * ks * jnp.max(light_color)
-        shine = shine + each
-        grown = grown + each * exponent / jnp.where(shows, cosine, 1)
+        seen = jnp.where(shows, power(cosine, exponent), 0) * ks * jnp.max(light_color)
+        seen = light.faded(surface.point, seen)
+        shine = shine + seen
+        grown = grown + seen * exponent / jnp.where(shows, cosine, 1)
     masks = lambda of: jnp.stack(of, -1) if of else jnp.zeros((*ks.shape, 0), bool)
     rows = lambda v: jnp.stack(jnp.broadcast_arrays(*components(v), ks)[:3], -1)
     return RayRecord(

@@ -12,6 +12,7 @@ from ...base.safe_math import larger, safe_sqrt
 from ...base.types import Mask, PixelArray, Scalar
 from ...base.vec import Vec, dot
 from ...scene.camera import Ray
+from ...scene.light import Light
 from ..cone import RayCone
 from ..differential import Differential
 from ..hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowedPixel, ShadowSegment, Surface
@@ -85,7 +86,7 @@ class Plane(eqx.Module):
         """
         del own_inside, may_be_inside
         point = dot(segment.point - self.point, self.normal)
-        light = dot(segment.light - self.point, self.normal)
+        light = dot(segment.light.toward(self.point), self.normal)
         return (point * light < 0) & ~is_own
 
     def shadow_coverage(
@@ -96,7 +97,7 @@ class Plane(eqx.Module):
         **Arguments:** as for `Sphere.shadow_coverage`.
         """
         del own_inside, may_be_inside
-        above = dot(pixel.light - self.point, self.normal)
+        above = dot(pixel.light.toward(self.point), self.normal)
         f = pixel.point.map(lambda p: dot(p - self.point, self.normal))
         inner = jnp.where(above > 0, -f.value, f.value)
         across, down = pixel.spans
@@ -105,9 +106,9 @@ class Plane(eqx.Module):
         all_dark, some_dark = (inner >= extent) & other, (inner > -extent) & other
         return ShadowCoverage(all_dark & (inner > 0), some_dark, inner > 0)
 
-    def shadow_function(self, point: Differential[Vec], light: Vec) -> Differential[PixelArray]:
+    def shadow_function(self, point: Differential[Vec], light: Light) -> Differential[PixelArray]:
         """Returns how far points are below the plane, seen from a light: positive in its shadow."""
-        above = dot(light - self.point, self.normal) > 0
+        above = dot(light.toward(self.point), self.normal) > 0
         side = jnp.where(above, -1, 1).astype(point.value.x.dtype)
         return point.map(lambda p: dot(p - self.point, self.normal) * side)
 

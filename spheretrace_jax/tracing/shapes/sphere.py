@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from ...base.derivatives import stop_first_gradient
 from ...base.safe_math import clamp, larger, safe_sqrt, smaller
 from ...base.types import Mask, PixelArray, Scalar
-from ...base.vec import Vec, cross, dot, norm, unit
+from ...base.vec import Vec, cross, dot, norm
 from ...scene.camera import Ray
+from ...scene.light import Light
 from ..cone import RayCone
 from ..differential import Differential
 from ..hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowedPixel, ShadowSegment, Surface
@@ -187,9 +188,8 @@ class Sphere(eqx.Module):
         square_radius = self.radius * self.radius
         close = dot(off, off) < square_radius * segment.square
         along = dot(to_center, segment.to_light)
-        from_light = segment.light - self.center
-        light_inside = dot(from_light, from_light) < square_radius
-        between = (along > 0) & (along < segment.square)
+        light_inside = segment.light.within(self.center, square_radius)
+        between = (along > 0) & segment.ends_after(along)
         if not may_be_inside:
             return close & (between | light_inside) & ~is_own
         inside = jnp.where(is_own, own_inside, dot(to_center, to_center) < square_radius)
@@ -207,9 +207,8 @@ class Sphere(eqx.Module):
         foot = pixel.point.map(lambda p: from_light(p, pixel.light, self.center))
         along, q = foot.value
         extent, inner = pixel.corner_extent(foot.dx[1], foot.dy[1]), self.radius - norm(q)
-        away, to_center = pixel.light - self.center, self.center - pixel.point.value
-        square = self.radius * self.radius
-        light_inside = dot(away, away) < square
+        to_center = self.center - pixel.point.value
+        light_inside = pixel.light.within(self.center, self.radius * self.radius)
         between = (along > 0) & (along < pixel.light_distance)
         if not may_be_inside:
             between = (between | light_inside) & ~is_own
@@ -256,10 +255,9 @@ class Sphere(eqx.Module):
         to_center = self.center - segment.point
         off = cross(to_center, segment.to_light)
         along = dot(to_center, segment.to_light)
-        # seen from the light the footprint narrows toward it
-        width = radius - along * (radius / segment.square)
+        width = segment.narrowed(radius, along)
         near = _between(dot(off, off), self.radius, width, segment.square)
-        return near & (along > 0) & (along < segment.square)
+        return near & (along > 0) & segment.ends_after(along)
 
     def pixel_coverage(
         self,
@@ -301,9 +299,9 @@ def perpendicular(origin: Vec, direction: Vec, center: Vec) -> tuple[PixelArray,
     return along, oc - direction * along
 
 
-def from_light(point: Vec, light: Vec, center: Vec) -> tuple[PixelArray, Vec]:
+def from_light(point: Vec, light: Light, center: Vec) -> tuple[PixelArray, Vec]:
     """Returns where the segment from a point to a light passes a centre; see `perpendicular`."""
-    return perpendicular(point, unit(light - point), center)
+    return perpendicular(point, light.direction(point), center)
 
 
 def ray_sphere(
