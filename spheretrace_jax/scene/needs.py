@@ -82,7 +82,7 @@ def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
 
     ks, kgr, kt = (_nonzero(scene, name, free) for name in ("ks", "kgr", "kt"))
     objects, lights = scene.objects, len(scene.lights)
-    moving = free & {"center", "radius", "theta", "phi", "mu"}
+    moving = free & {"center", "radius", "theta", "phi", "mu", "look_at"}
     inside = bool(kt.any() or (len(spheres) and (moving or feature_tests.eye_inside(scene))))
     moves = inside or free & {"center", "radius", "light_position"}
     clear = () if moves else feature_tests.unshadowed_lights(scene)

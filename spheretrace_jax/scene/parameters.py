@@ -8,8 +8,11 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any, Literal
 
+import equinox as eqx
+
 from ..base.errors import InputError
-from .arrays import is_traced
+from .arrays import converted, is_traced
+from .camera import DEFAULTS
 from .scene import Scene
 
 Owner = Literal["spheres", "lights", "planes", "camera", "scene"]
@@ -30,7 +33,7 @@ class Parameter:
     fitted: bool = False  #: a fit may set it free
 
     def value(self, scene: Scene) -> Any:
-        """Returns the parameter's array, a leaf of the scene.
+        """Returns the parameter's array, a leaf of the scene; None where it is optional and unset.
 
         Inside `equinox.tree_at` leaves are no arrays, so the type says nothing.
         """
@@ -55,6 +58,10 @@ PARAMETERS = (
     Parameter("phi", "camera", moves_silhouettes=True, fitted=True),
     Parameter("mu", "camera", "positive", moves_silhouettes=True, fitted=True),
     Parameter("distance", "camera", "positive", moves_silhouettes=True, fitted=True),
+    Parameter("roll", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("look_at", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("principal_point", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("pixel_aspect", "camera", "positive", moves_silhouettes=True, fitted=True),
     Parameter("window", "camera", "positive", moves_silhouettes=True),
     Parameter("point", "planes", moves_silhouettes=True),
     Parameter("normal", "planes", moves_silhouettes=True),
@@ -87,6 +94,19 @@ def parameter_names(names: Iterable[str]) -> frozenset[str]:
     if unknown:
         raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
     return chosen
+
+
+def with_optional(scene: Scene, names: Iterable[str]) -> Scene:
+    """Returns a scene whose optional numbers of some names are arrays, at their defaults if unset.
+
+    Arrays can be fitted and differentiated; other names are left as they are.
+    """
+    camera = scene.camera
+    unset = {n: x for n, x in DEFAULTS.items() if n in names and getattr(camera, n) is None}
+    arrays = {name: converted(x, scene.dtype) for name, x in unset.items()}
+    if not arrays:
+        return scene
+    return eqx.tree_at(lambda s: s.camera, scene, dataclasses.replace(camera, **arrays))
 
 
 def traced_names(scene: Scene) -> frozenset[str]:

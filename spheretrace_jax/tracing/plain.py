@@ -52,14 +52,21 @@ def unit(a: Vectors) -> Vectors:
 
 
 def camera_axes(camera: Camera) -> tuple[Vectors, Vectors, Vectors, Vectors]:
-    """Returns eye, right, up and forward: the eye is on a sphere and looks at its centre, 0.
+    """Returns eye, right, up and forward: the eye is on a sphere and looks at its centre.
 
-    eye = mu (sin phi cos theta, sin phi sin theta, cos phi).
+    eye = look_at + mu (sin phi cos theta, sin phi sin theta, cos phi). A camera that rolls turns
+    right and up by Rodrigues' formula: v cos roll + (forward x v) sin roll.
     """
     (sp, cp), (st, ct) = ((jnp.sin(x), jnp.cos(x)) for x in (camera.phi, camera.theta))
     vector = lambda x, y, z: jnp.stack([x, y, z])[None]
     outward = vector(sp * ct, sp * st, cp)
-    return camera.mu * outward, vector(-st, ct, 0 * st), vector(-ct * cp, -st * cp, sp), -outward
+    eye, right, up = camera.mu * outward, vector(-st, ct, 0 * st), vector(-ct * cp, -st * cp, sp)
+    if camera.look_at is not None:
+        eye = eye + camera.look_at[None]
+    if (roll := camera.roll) is not None:
+        turn = lambda v: v * jnp.cos(roll) + jnp.cross(-outward, v) * jnp.sin(roll)
+        right, up = turn(right), turn(up)
+    return eye, right, up, -outward
 
 
 def plain_rays(
@@ -67,15 +74,25 @@ def plain_rays(
 ) -> tuple[Vectors, Vectors]:
     """Returns the camera rays E + t D through points of the window, which is on the view plane.
 
-    D is along x right + y up + distance forward, with x = (column - width/2) pitch,
-    y = (height/2 - row) pitch and pitch = window/height.
+    D is along x right + y up + distance forward, with x = (column - cx) pitch aspect,
+    y = (cy - row) pitch and pitch = window/height. The axis meets the picture at (cx, cy):
+    (width/2, height/2) plus the principal point times the height. Orthographic rays start at
+    E + x right + y up, and D is forward.
 
     **Arguments:** `columns`, `rows`: positions in pixels from the picture's left and top edge; the
     centre of pixel (i, j) is at (i + 1/2, j + 1/2). `size`: the picture's (width, height).
     """
     eye, right, up, forward = camera_axes(camera)
     pitch = camera.window / size[1]
-    x, y = (columns[:, None] - size[0] / 2) * pitch, (size[1] / 2 - rows[:, None]) * pitch
+    cx, cy = size[0] / 2, size[1] / 2
+    if camera.principal_point is not None:
+        cx, cy = jnp.array([cx, cy], pitch.dtype) + camera.principal_point * size[1]
+    x, y = (columns[:, None] - cx) * pitch, (cy - rows[:, None]) * pitch
+    if camera.pixel_aspect is not None:
+        x = x * camera.pixel_aspect
+    if camera.orthographic:
+        E = eye + x * right + y * up
+        return E, jnp.broadcast_to(forward, E.shape)
     D = unit(x * right + y * up + camera.distance * forward)
     return jnp.broadcast_to(eye, D.shape), D
 
