@@ -108,7 +108,7 @@ def check_shapes(owner: str, part: Any) -> dict[str, Any]:
     """
     fields = _axes_of(type(part))
     optional = _optional_of(type(part))
-    arrays = {name: getattr(part, name) for name in fields}
+    arrays: dict[str, Any] = {name: getattr(part, name) for name in fields}
     arrays = {n: x for n, x in arrays.items() if x is not None or n not in optional}
     fields = {name: fields[name] for name in arrays}
     lengths = _axis_lengths(fields, arrays)

@@ -135,6 +135,7 @@ class Camera(eqx.Module):
         )
 
     @classmethod
+    @at_once
     def from_opencv(
         cls,
         matrix: ArrayLike | Sequence,
