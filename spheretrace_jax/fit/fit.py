@@ -183,10 +183,11 @@ def fit(
       pictures of one world a list of scenes that differ in their lights or cameras.
     - `target`: linear RGB of shape `(height, width, 3)`; as many as there are scenes.
     - `free`: among `color ka kd ks exponent kgr kt center radius` (of all spheres),
-      `light_position light_color` (of all lights), `theta phi mu distance` (of the camera) and
-      `exposure` (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For
-      centers, radii and the camera the scene's antialias flag must be 1, or no derivative tells
-      how edges move.
+      `light_position light_color` (of all lights), `theta phi mu distance roll look_at
+      principal_point pixel_aspect` (of the camera; the focal length is `distance`) and `exposure`
+      (a factor per channel of the whole picture). An exponent of 0 starts as 0.01. For centers,
+      radii and the camera the scene's antialias flag must be 1, or no derivative tells how edges
+      move.
       A mapping says which objects' numbers are: `{"color": [0, 2], "kd": True}` holds all other
       colours. Values are True, False, indices, or a boolean array of shape `(objects,)` or the
       parameter's own.

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..base.errors import InputError
 from ..base.types import Highlight, Picture, Scalar
-from ..scene.camera import Camera
+from ..scene.camera import DEFAULTS, Camera
 from ..scene.planes import Planes
 from ..scene.scene import Scene
 
@@ -58,15 +58,17 @@ def camera_axes(camera: Camera) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     right and up by Rodrigues' formula: v cos roll + (forward x v) sin roll.
     """
     (sp, cp), (st, ct) = ((jnp.sin(x), jnp.cos(x)) for x in (camera.phi, camera.theta))
-    vector = lambda x, y, z: jnp.stack([x, y, z])[None]
+    vector, roll = lambda x, y, z: jnp.stack([x, y, z])[None], given(camera, "roll")
     outward = vector(sp * ct, sp * st, cp)
-    eye, right, up = camera.mu * outward, vector(-st, ct, 0 * st), vector(-ct * cp, -st * cp, sp)
-    if camera.look_at is not None:
-        eye = eye + camera.look_at[None]
-    if (roll := camera.roll) is not None:
-        turn = lambda v: v * jnp.cos(roll) + jnp.cross(-outward, v) * jnp.sin(roll)
-        right, up = turn(right), turn(up)
-    return eye, right, up, -outward
+    eye = given(camera, "look_at")[None] + camera.mu * outward
+    turn = lambda v: v * jnp.cos(roll) + jnp.cross(-outward, v) * jnp.sin(roll)
+    return eye, turn(vector(-st, ct, 0 * st)), turn(vector(-ct * cp, -st * cp, sp)), -outward
+
+
+def given(camera: Camera, name: str) -> Array:
+    """Returns a number of the camera, or what an unset one stands for."""
+    value = getattr(camera, name)
+    return jnp.asarray(DEFAULTS[name], camera.mu.dtype) if value is None else value
 
 
 def plain_rays(
@@ -75,26 +77,20 @@ def plain_rays(
     """Returns the camera rays E + t D through points of the window, which is on the view plane.
 
     D is along x right + y up + distance forward, with x = (column - cx) pitch aspect,
-    y = (cy - row) pitch and pitch = window/height. The axis meets the picture at (cx, cy):
-    (width/2, height/2) plus the principal point times the height. Orthographic rays start at
-    E + x right + y up, and D is forward.
+    y = (cy - row) pitch and pitch = window/height. The axis is seen at (cx, cy) = (width/2,
+    height/2) + height principal_point. Orthographic: E = eye + x right + y up, D = forward.
 
     **Arguments:** `columns`, `rows`: positions in pixels from the picture's left and top edge; the
     centre of pixel (i, j) is at (i + 1/2, j + 1/2). `size`: the picture's (width, height).
     """
     eye, right, up, forward = camera_axes(camera)
-    pitch = camera.window / size[1]
-    cx, cy = size[0] / 2, size[1] / 2
-    if camera.principal_point is not None:
-        cx, cy = jnp.array([cx, cy], pitch.dtype) + camera.principal_point * size[1]
-    x, y = (columns[:, None] - cx) * pitch, (cy - rows[:, None]) * pitch
-    if camera.pixel_aspect is not None:
-        x = x * camera.pixel_aspect
+    pitch, (px, py) = camera.window / size[1], given(camera, "principal_point")
+    x = (columns[:, None] - size[0] / 2 - size[1] * px) * pitch * given(camera, "pixel_aspect")
+    y = (size[1] / 2 + size[1] * py - rows[:, None]) * pitch
+    across = x * right + y * up
     if camera.orthographic:
-        E = eye + x * right + y * up
-        return E, jnp.broadcast_to(forward, E.shape)
-    D = unit(x * right + y * up + camera.distance * forward)
-    return jnp.broadcast_to(eye, D.shape), D
+        return eye + across, jnp.broadcast_to(forward, across.shape)
+    return jnp.broadcast_to(eye, across.shape), unit(across + camera.distance * forward)
 
 
 def spheres(scene: Scene) -> Iterator[tuple[int, tuple[Vectors, Numbers]]]:

@@ -1,5 +1,8 @@
 """Cameras of photographs: OpenCV's matrices in and out, against NumPy's K (R X + t), and crops."""
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -185,3 +188,19 @@ def test_pictures_of_a_crop_are_those_of_the_picture(view):
     part = st.render(with_camera(scene, **vars(camera)), width=16, height=20, bounces=0)
     np.testing.assert_allclose(part, whole[5:25, 12:28], rtol=0, atol=1e-13)
     assert np.asarray(part).any()
+
+
+def test_the_page_on_cameras_runs_as_it_stands():
+    page = (Path(__file__).parents[2] / "docs" / "cameras.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict = {}
+    exec(compile(block, "cameras.md", "exec"), names)
+    for name in ("K", "R", "t"):
+        np.testing.assert_allclose(names[f"{name}_again"], names[name], atol=1e-12)
+    # the ball is where K (R X + t) says, and the crop is a part of the picture
+    assert names["picture"].shape == (480, 640, 3) and names["part"].shape == (160, 200, 3)
+    inside = np.asarray(names["picture"])[151:309, 351:549]
+    np.testing.assert_allclose(names["part"][1:-1, 1:-1], inside, atol=1e-12)
+    seen = names["K"] @ (names["ball"].center[0] + names["t"])
+    column, row = np.round(np.asarray(seen[:2] / seen[2])).astype(int)
+    assert np.asarray(names["picture"])[row, column].sum() > 0.2
