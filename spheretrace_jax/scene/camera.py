@@ -1,8 +1,8 @@
 """`Camera`: the lecture's view, and cameras as photographs have them; rays from its eye."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -209,6 +209,13 @@ class Camera(eqx.Module):
             window=self.window * (height / size[1]),
             principal_point=jnp.stack(offset) / height,
         )
+
+
+def with_defaults(camera: Camera, names: Iterable[str] = tuple(DEFAULTS)) -> Any:
+    """Returns a camera whose optional numbers of some names are arrays, at defaults if unset."""
+    unset = {n: x for n, x in DEFAULTS.items() if n in names and getattr(camera, n) is None}
+    arrays = {name: converted(x, camera.mu.dtype) for name, x in unset.items()}
+    return dataclasses.replace(camera, **arrays) if arrays else camera
 
 
 def _checked_size(width: int, height: int) -> tuple[int, int]:

@@ -11,8 +11,8 @@ from typing import Any, Literal
 import equinox as eqx
 
 from ..base.errors import InputError
-from .arrays import converted, is_traced
-from .camera import DEFAULTS
+from .arrays import is_traced
+from .camera import with_defaults
 from .scene import Scene
 
 Owner = Literal["spheres", "lights", "planes", "camera", "scene"]
@@ -101,12 +101,8 @@ def with_optional(scene: Scene, names: Iterable[str]) -> Scene:
 
     Arrays can be fitted and differentiated; other names are left as they are.
     """
-    camera = scene.camera
-    unset = {n: x for n, x in DEFAULTS.items() if n in names and getattr(camera, n) is None}
-    arrays = {name: converted(x, scene.dtype) for name, x in unset.items()}
-    if not arrays:
-        return scene
-    return eqx.tree_at(lambda s: s.camera, scene, dataclasses.replace(camera, **arrays))
+    camera = with_defaults(scene.camera, names)
+    return scene if camera is scene.camera else eqx.tree_at(lambda s: s.camera, scene, camera)
 
 
 def traced_names(scene: Scene) -> frozenset[str]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..base.errors import InputError
 from ..base.types import Highlight, Picture, Scalar
-from ..scene.camera import DEFAULTS, Camera
+from ..scene.camera import Camera, with_defaults
 from ..scene.planes import Planes
 from ..scene.scene import Scene
 
@@ -57,18 +57,14 @@ def camera_axes(camera: Camera) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     eye = look_at + mu (sin phi cos theta, sin phi sin theta, cos phi). A camera that rolls turns
     right and up by Rodrigues' formula: v cos roll + (forward x v) sin roll.
     """
-    (sp, cp), (st, ct) = ((jnp.sin(x), jnp.cos(x)) for x in (camera.phi, camera.theta))
-    vector, roll = lambda x, y, z: jnp.stack([x, y, z])[None], given(camera, "roll")
+    c = with_defaults(camera)
+    angles = c.phi, c.theta, c.roll
+    (sp, cp), (st, ct), (sr, cr) = ((jnp.sin(x), jnp.cos(x)) for x in angles)
+    vector = lambda x, y, z: jnp.stack([x, y, z])[None]
     outward = vector(sp * ct, sp * st, cp)
-    eye = given(camera, "look_at")[None] + camera.mu * outward
-    turn = lambda v: v * jnp.cos(roll) + jnp.cross(-outward, v) * jnp.sin(roll)
+    turn = lambda v: v * cr + jnp.cross(-outward, v) * sr
+    eye = c.look_at[None] + c.mu * outward
     return eye, turn(vector(-st, ct, 0 * st)), turn(vector(-ct * cp, -st * cp, sp)), -outward
-
-
-def given(camera: Camera, name: str) -> Array:
-    """Returns a number of the camera, or what an unset one stands for."""
-    value = getattr(camera, name)
-    return jnp.asarray(DEFAULTS[name], camera.mu.dtype) if value is None else value
 
 
 def plain_rays(
@@ -83,14 +79,14 @@ def plain_rays(
     **Arguments:** `columns`, `rows`: positions in pixels from the picture's left and top edge; the
     centre of pixel (i, j) is at (i + 1/2, j + 1/2). `size`: the picture's (width, height).
     """
-    eye, right, up, forward = camera_axes(camera)
-    pitch, (px, py) = camera.window / size[1], given(camera, "principal_point")
-    x = (columns[:, None] - size[0] / 2 - size[1] * px) * pitch * given(camera, "pixel_aspect")
+    c, (eye, right, up, forward) = with_defaults(camera), camera_axes(camera)
+    pitch, (px, py) = c.window / size[1], c.principal_point
+    x = (columns[:, None] - size[0] / 2 - size[1] * px) * pitch * c.pixel_aspect
     y = (size[1] / 2 + size[1] * py - rows[:, None]) * pitch
     across = x * right + y * up
-    if camera.orthographic:
+    if c.orthographic:
         return eye + across, jnp.broadcast_to(forward, across.shape)
-    return jnp.broadcast_to(eye, across.shape), unit(across + camera.distance * forward)
+    return jnp.broadcast_to(eye, across.shape), unit(across + c.distance * forward)
 
 
 def spheres(scene: Scene) -> Iterator[tuple[int, tuple[Vectors, Numbers]]]:
