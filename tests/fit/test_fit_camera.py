@@ -89,7 +89,7 @@ AGAINST = "the camera's {} against {} is not determined"
             3,
             {
                 AGAINST.format("principal_point", "its look_at"),
-                "the camera's look_at is not determined",
+                "the camera's look_at along its axis is not determined",
             },
         ),
         ({"orthographic": True}, ("mu", "roll"), 1, {"the camera's mu is not determined"}),
@@ -134,3 +134,15 @@ def test_unknowns_do_not_depend_on_units():
             for s in (scene, scaled)
         ]
         np.testing.assert_allclose(*found, rtol=1e-13)
+
+
+def test_materials_are_fitted_through_a_parallel_view():
+    # shading samples of rays that start all over a plane, with edges and a mirror
+    numbers = dict(orthographic=True, window=jnp.array(420.0), roll=jnp.array(0.3))
+    scene = balls(**numbers, principal_point=jnp.array([0.05, -0.03]))
+    scene = eqx.tree_at(lambda s: s.spheres.kgr, scene, jnp.array([0.0, 0.3, 0, 0]))
+    target = st.render(scene, **SIZE | {"bounces": 1})
+    problem = make_problem(scene, target, ("color",), bounces=1)
+    assert problem.buffers[0] is not None
+    normal = normal_at(problem, problem.start())
+    assert float(normal.cost) < 1e-24 and float(jnp.trace(normal.square)) > 1

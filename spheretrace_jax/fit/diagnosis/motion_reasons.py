@@ -42,6 +42,9 @@ def exchange_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]
     free, camera = set(evidence.free), evidence.scenes[0].camera
     if "principal_point" in free:
         yield _against_world(evidence, "principal_point")
+    if camera.orthographic and "look_at" in free:
+        along: Direction = lambda k: {"look_at": _backward(evidence.scenes[k].camera)}
+        yield "the camera's look_at along its axis is not determined", [along]
     for name, other in (("mu", "look_at"), ("roll", "theta"), ("principal_point", "look_at")):
         if {name, other} <= free:
             yield (
