@@ -49,6 +49,8 @@ def test_edges_of_a_parallel_view_are_exact():
     scene = st.Scene(spheres, st.Lights([[0.0, 0, 900]]), camera, antialias=1)
     picture = np.asarray(st.render(scene, width=40, height=32, bounces=0))[..., 0]
     np.testing.assert_allclose(picture.sum() / float(scene.spheres.color[0, 0]), 81 * np.pi, 1e-4)
+    depth = np.asarray(st.render_layers(scene, width=40, height=32).depth)
+    np.testing.assert_allclose(depth.min(), 500 - 50 - 9, atol=0.02)
     # a distance that no perspective could have changes nothing
     far = with_camera(scene, distance=jnp.array(1e-30), mu=jnp.array(60.0))
     again = st.render(far, width=40, height=32, bounces=0)[..., 0]
@@ -68,7 +70,7 @@ FREE = {
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_derivatives_are_those_of_finite_differences(orthographic):
-    scene = ambient_spheres([[-30.0, 10, 0], [40, -20, 60]], [60.0, 45], ka=0.3, kd=0.7)
+    scene = ambient_spheres([[-50.0, 40, 0], [60, -30, 60]], [50.0, 45], ka=0.3, kd=0.7)
     scene = with_camera(scene, **DEFAULTS, orthographic=orthographic)
     scene = with_camera(scene, roll=jnp.array(0.2), window=jnp.array(300.0))
     needs, weights = st.needs(scene), np.random.default_rng(0).uniform(size=(24, 32, 3))

@@ -82,18 +82,28 @@ AGAINST = "the camera's {} against {} is not determined"
     ("camera", "free", "nullity", "words"),
     [
         ({}, ("mu", "look_at"), 1, {AGAINST.format("mu", "its look_at")}),
-        ({"phi": jnp.array(0.0)}, ("roll", "theta"), 1, {AGAINST.format("roll", "its theta")}),
-        (
-            {"orthographic": True},
-            ("principal_point", "look_at"),
-            3,
-            {
-                AGAINST.format("principal_point", "its look_at"),
-                "the camera's look_at along its axis is not determined",
-            },
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                (
+                    {"phi": jnp.array(0.0)},
+                    ("roll", "theta"),
+                    1,
+                    {AGAINST.format("roll", "its theta")},
+                ),
+                (
+                    {"orthographic": True},
+                    ("principal_point", "look_at"),
+                    3,
+                    {
+                        AGAINST.format("principal_point", "its look_at"),
+                        "the camera's look_at along its axis is not determined",
+                    },
+                ),
+                ({"orthographic": True}, ("mu", "roll"), 1, {"the camera's mu is not determined"}),
+                ({}, ("principal_point", "distance", "roll"), 0, set()),
+            )
         ),
-        ({"orthographic": True}, ("mu", "roll"), 1, {"the camera's mu is not determined"}),
-        ({}, ("principal_point", "distance", "roll"), 0, set()),
     ],
 )
 def test_what_no_picture_tells_of_a_camera(camera, free, nullity, words):
@@ -136,6 +146,7 @@ def test_unknowns_do_not_depend_on_units():
         np.testing.assert_allclose(*found, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_materials_are_fitted_through_a_parallel_view():
     # shading samples of rays that start all over a plane, with edges and a mirror
     numbers = dict(orthographic=True, window=jnp.array(420.0), roll=jnp.array(0.3))
