@@ -124,7 +124,8 @@ def screen_bounds(
     """
     frame, (scales, middles) = view_frame(camera), intrinsics(camera, size)
     to_center, slack = center - frame.eye, ROUNDING_ULPS * jnp.finfo(radius.dtype).eps
-    reach, far = pixel / jnp.minimum(*scales), norm(to_center)
+    least_scale = scales[1] if camera.pixel_aspect is None else jnp.minimum(*scales)
+    reach, far = pixel / least_scale, norm(to_center)
     if camera.orthographic:  # its rays start at points of the eye's plane, rounded as these are
         radius = radius + reach + (far + norm(frame.eye)) * slack
     else:
