@@ -11,7 +11,7 @@ from jaxtyping import Array, Int, Shaped
 
 from ..base.types import Ids, PixelArray, Scalar
 from ..base.vec import Vec, dot, norm
-from ..scene.camera import Camera, view_frame
+from ..scene.camera import Camera, intrinsics, view_frame
 from ..xla.sharding import Rows
 from .binning import ROUNDING_ULPS, BinBounds, Bins, T, Visitor, bounds_2d
 from .candidate_list import Found, Search, visit_listed
@@ -122,24 +122,38 @@ def screen_bounds(
     **Arguments:** `size`: the picture's (width, height) in pixels. `rows`: the block of pixel rows
     that the tiles cover. `pixel`: how far from its ray a pixel reaches, in pixels.
     """
-    frame, scale = view_frame(camera), camera.distance / (camera.window / size[1])
+    frame, (scales, middles) = view_frame(camera), intrinsics(camera, size)
     to_center, slack = center - frame.eye, ROUNDING_ULPS * jnp.finfo(radius.dtype).eps
-    radius = radius + norm(to_center) * (pixel / scale + slack)
+    least_scale = scales[1] if camera.pixel_aspect is None else jnp.minimum(*scales)
+    reach, far = pixel / least_scale, norm(to_center)
+    if camera.orthographic:  # its rays start at points of the eye's plane, rounded as these are
+        radius = radius + reach + (far + norm(frame.eye)) * slack
+    else:
+        radius = radius + far * (reach + slack)
     depth = dot(to_center, frame.forward)
+    bounds = parallel_bounds if camera.orthographic else tangent_slopes
     shape = size[0], rows.count
-    first = jnp.zeros_like(scale), jnp.asarray(rows.first, scale.dtype)
+    first = jnp.zeros_like(camera.window), jnp.asarray(rows.first, camera.window.dtype)
     low, high = [], []
-    for axis, pixels, start, count in zip(
-        (frame.right, -frame.up), size, first, shape, strict=True
-    ):
-        least, most = tangent_slopes(dot(to_center, axis), depth, radius)
-        least = (least * scale + (pixels / 2 - slack * pixels - start)) / TILE
-        most = (most * scale + (pixels / 2 + slack * pixels - start)) / TILE
+    axes = zip((frame.right, -frame.up), scales, middles, size, first, shape, strict=True)
+    for axis, scale, middle, pixels, start, count in axes:
+        least, most = bounds(dot(to_center, axis), depth, radius)
+        error = slack * (pixels + abs(middle))
+        least = (least * scale + (middle - error - start)) / TILE
+        most = (most * scale + (middle + error - start)) / TILE
         border = count / TILE
         visible = (least < border) & (most > 0)
         low.append(jnp.where(visible, jnp.maximum(least, 0), 1))
         high.append(jnp.where(visible, jnp.minimum(most, border), 0))
     return bounds_2d(low, high, [-(-n // TILE) for n in shape], step=2.0)
+
+
+def parallel_bounds(
+    x: PixelArray, z: PixelArray, radius: PixelArray
+) -> tuple[PixelArray, PixelArray]:
+    """Bounds circles seen along parallels to z, from z = 0 on; see `tangent_slopes`."""
+    behind = z <= -radius
+    return jnp.where(behind, jnp.inf, x - radius), jnp.where(behind, -jnp.inf, x + radius)
 
 
 def tangent_slopes(

@@ -54,7 +54,7 @@ class BallLight(eqx.Module):
 
     @property
     def at_infinity(self) -> bool:
-        """Whether the picture tells no distance."""
+        """Tells whether the picture says nothing of the distance."""
         return bool(np.isinf(self.distance))
 
     def __str__(self) -> str:

@@ -31,16 +31,20 @@ def ball_scene(
     ball, intrinsics = outline.ball(), outline.intrinsics
     center = ball.center * radius
     if intrinsics.orthographic:
-        # parallel rays along z from a plane in front of the ball
+        # parallel rays along z, from a plane in front of the ball
         unit = radius / outline.radius
-        middle = (np.array([width, height]) / 2 - intrinsics.principal_point) * unit
-        eye = np.array([*middle, -10 * radius])
+        x, y = (np.array([width, height]) / 2 - intrinsics.principal_point) * unit
         camera = Camera.from_intrinsics(
-            1, 1, (width - 1) / 2, (height - 1) / 2, width, height, translation=-eye
-        ).as_orthographic(height * unit)
+            1, 1, (width - 1) / 2, (height - 1) / 2, width, height,
+            translation=[-x, -y, 10 * radius],
+        )  # fmt: skip
+        view = camera.theta, camera.phi, camera.mu, camera.distance, height * unit
+        more = {"roll": camera.roll, "look_at": camera.look_at}
+        camera = Camera(*view, **more, orthographic=True)
     else:
         cx, cy = intrinsics.principal_point - 0.5  # OpenCV counts from the first pixel's centre
-        camera = Camera.from_intrinsics(intrinsics.focal, intrinsics.focal, cx, cy, width, height)
+        focal = intrinsics.focal
+        camera = Camera.from_intrinsics(focal, focal, cx, cy, width, height)
     to_light = flip_frame(light.direction)
     color = np.maximum(light.color, 0)
     shown = np.where(color > 0, color, 1)

@@ -8,7 +8,7 @@ import numpy as np
 from ..files.atomic import replacing, write_text
 from ..fit import Fit
 from ..fit.diagnosis.trust import together
-from ..fit.model.parameters import bounding_sphere, value
+from ..fit.model.parameters import CAMERA, bounding_sphere, value
 from ..scene.scene import Scene
 
 
@@ -34,7 +34,7 @@ def parameter_table(start: Scene, fit: Fit, free: tuple[str, ...]) -> str:
             continue
         before, after = (np.asarray(value(scene, name)) for scene in (start, fit.scene))
         spread = deviations[name]
-        if before.ndim == 0:
+        if before.ndim == 0 or name in CAMERA:
             numbers = " | ".join(map(_numbers, (before, after, spread)))
             lines.append(f"| {name} | camera | {numbers} |")
             continue

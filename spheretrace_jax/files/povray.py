@@ -117,7 +117,7 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
     """Lists the features that POV-Ray draws, or may draw, differently."""
     tables = build_tables(scene)
     radius, kt = np.asarray(scene.spheres.radius), np.asarray(scene.spheres.kt)
-    from_eye = np.linalg.norm(np.asarray(scene.spheres.center) - eye, axis=1) - radius
+    from_eye = _from_eye(scene, eye) - radius
     mirrors = bool(np.any(np.asarray(tables.materials.kgr) > 0))
     inexact = {
         "POV-Ray has no coats: ior is left out, diffuse light is Lambert's": (
@@ -132,7 +132,7 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
             (kt > 0).any() and (mirrors or (kt > 0).sum() > bounces)
         ),
         "far walls of transparent spheres that meet other objects or hold the eye": (
-            any(_meets(tables, i, eye) for i in np.flatnonzero(kt > 0))
+            any(from_eye[i] < 0 or _meets(tables, i) for i in np.flatnonzero(kt > 0))
         ),
         f"POV-Ray sees nothing farther than {FARTHEST:g} units, the ends of planes neither": (
             tables.plane_count > 0 or (from_eye > FARTHEST).any()
@@ -144,15 +144,22 @@ def _inexact(scene: Scene, eye: np.ndarray, bounces: int) -> list[str]:
     return [feature for feature, present in inexact.items() if present]
 
 
-def _meets(tables: SceneTables, i: int | np.integer, eye: np.ndarray) -> bool:
-    """Tells whether sphere i meets another object or contains the eye."""
+def _from_eye(scene: Scene, eye: np.ndarray) -> np.ndarray:
+    """Returns the distances of centres from the eye; from the plane where parallel rays start."""
+    offset = np.asarray(scene.spheres.center) - eye
+    if scene.camera.orthographic:
+        return np.abs(offset @ _points(view_frame(scene.camera).forward))
+    return np.linalg.norm(offset, axis=1)
+
+
+def _meets(tables: SceneTables, i: int | np.integer) -> bool:
+    """Tells whether sphere i meets another object."""
     center, radius = _points(tables.spheres.center), np.asarray(tables.spheres.radius)
     others = np.arange(tables.sphere_count) != i
     to_planes = _points(tables.planes.point) - center[i]
     from_planes = np.sum(to_planes * _points(tables.planes.normal), 1)
     return bool(
-        np.linalg.norm(eye - center[i]) < radius[i]
-        or (np.abs(from_planes) < radius[i]).any()
+        (np.abs(from_planes) < radius[i]).any()
         or (np.linalg.norm(center - center[i], axis=1) < radius + radius[i])[others].any()
     )
 
@@ -179,13 +186,23 @@ def _camera(camera: Camera) -> list[str]:
     axes = (frame.eye, frame.right, frame.up, frame.forward)
     eye, right, up, forward = (vector(_points(v)) for v in axes)
     window, distance = next(table_rows(camera.window[None], camera.distance[None]))
+    across, shift = number(window), ""
+    if camera.pixel_aspect is not None:
+        across += f" * {number(np.asarray(camera.pixel_aspect).item())}"
+    if camera.principal_point is not None:  # from the axis to the middle of the picture
+        x, y = (number(v) for v in np.asarray(camera.principal_point))
+        shift = f" - {right} * ({x} * {across}) + {up} * ({y} * {number(window)})"
+    if camera.orthographic:
+        kind, place, direction = "orthographic", eye + shift, forward
+    else:
+        kind, place, direction = "perspective", eye, f"{forward} * {number(distance)}{shift}"
     return [
         "camera {",
-        "  perspective",
-        f"  location {eye}",
-        f"  right {right} * {number(window)} * image_width / image_height",
+        f"  {kind}",
+        f"  location {place}",
+        f"  right {right} * {across} * image_width / image_height",
         f"  up {up} * {number(window)}",
-        f"  direction {forward} * {number(distance)}",
+        f"  direction {direction}",
         "}",
     ]
 
@@ -230,8 +247,8 @@ def _spheres(scene: Scene, eye: np.ndarray, highlight: Highlight) -> list[str]:
     """Returns the spheres, a line each, or three lines if transparent."""
     s: Spheres = scene.spheres
     columns = (s.center, s.radius, s.color, s.ka, s.kd, s.ks, s.exponent, s.kgr, s.kt)
-    lines = []
-    for row, pic in zip(table_rows(*columns), s.pic, strict=True):
+    lines, from_eye = [], _from_eye(scene, eye)
+    for row, pic, distance in zip(table_rows(*columns), s.pic, from_eye, strict=True):
         center, radius, color, ka, kd, ks, exponent, kgr, kt = row
         kt = min(kt, kt.dtype.type(1 - _LEAST_OPACITY))
         # POV-Ray dims ambient and diffuse light by 1 - kt, but not highlights and reflections
@@ -246,8 +263,7 @@ def _spheres(scene: Scene, eye: np.ndarray, highlight: Highlight) -> list[str]:
         if not kt:
             lines.append(f"sphere {{ {shape} {surface} }}")
             continue
-        inside = np.linalg.norm(center - eye) < radius
-        if inside:
+        if distance < radius:  # the eye is inside
             far_wall = f"interior_texture {{ {surface} }}"
         else:
             far_wall = "interior_texture { pigment { rgbt 1 } finish { ambient 0 diffuse 0 } }"

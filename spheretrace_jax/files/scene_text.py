@@ -22,11 +22,17 @@ and, in any order, lines that start with a keyword:
     plane px py pz nx ny nz R G B ka kd ks specExp kgr [ior N] [checker R G B size]
                                           a plane through p with normal n, any number of them
     window HEIGHT                         of the window on the view plane, 512 by default
+    look_at X Y Z                         what the eye looks at and turns around, 0 0 0 by default
+    roll ANGLE                            of the camera about its axis, radians, 0 by default
+    principal_point X Y                   of the axis: right and down of the picture's centre, in
+                                          heights of the picture, 0 0 by default
+    pixel_aspect A                        width of a pixel / its height, 1 by default
+    orthographic                          rays are parallel, the window is of the world's size
 
 Colours and ka, kd, ks, kgr, kt are in 0..1 (a light's colour only >= 0), specExp and DISTANCE >= 0,
-ior and N >= 1 (1 by default: no coat), radius, HEIGHT and size > 0, normals and directions not 0. A
-directional light has no fall-off, and DISTANCE 0 is none. FILE is relative to the scene file; a
-name with spaces stands in double quotes. Every lecture file is valid: the first six numbers may
+ior and N >= 1 (1 by default: no coat), radius, HEIGHT, A and size > 0, normals and directions not
+0. A directional light has no fall-off, and DISTANCE 0 is none. FILE is relative to the scene file;
+a name with spaces stands in double quotes. Every lecture file is valid: the first six numbers may
 stand on one line or many, and each light and sphere has one line.
 """
 
@@ -55,6 +61,12 @@ _POSITION = ("Lx", "Ly", "Lz")
 _LIGHT_WORDS = {"directional": 0, "falloff": 1}
 SPHERE_COLUMNS = ("cx", "cy", "cz", "radius", *_COLOR, "ka", "kd", "ks", "specExp", "kgr", "kt")
 _PLANE = ("px", "py", "pz", "nx", "ny", "nz", *_COLOR, "ka", "kd", "ks", "specExp", "kgr")
+_CAMERA = {
+    "look_at": ("X", "Y", "Z"),
+    "roll": ("ANGLE",),
+    "principal_point": ("X", "Y"),
+    "pixel_aspect": ("A",),
+}
 _UNIT = {*_COLOR, "ka", "kd", "ks", "kgr", "kt"}
 DEFAULT_WINDOW = 512.0
 
@@ -106,6 +118,16 @@ def check_text(name: str, text: str, dtype: np.dtype) -> None:
     _Reader(name, text, dtype).read()
 
 
+def _camera_line(name: str) -> Any:
+    """Returns the method that reads a keyword's numbers of the camera."""
+
+    def read(reader: "_Reader", row: list[Token]) -> None:
+        values = reader._values(row, _CAMERA[name])
+        reader.camera[name] = values if len(values) > 1 else values[0]
+
+    return read
+
+
 class _Reader:
     """The tables of a scene file, each number checked, without the textures' pixels."""
 
@@ -117,6 +139,7 @@ class _Reader:
         self.background = [0.0, 0.0, 0.0]
         self.back_plane: list[float] | None = None
         self.window = DEFAULT_WINDOW
+        self.camera: dict[str, Any] = {}
         self.pics: list[tuple[Token, int]] = []
         self.warnings: list[str] = []
 
@@ -206,7 +229,7 @@ class _Reader:
             return self.tokens.between(token, name, 0, np.inf)
         if name == "ior":
             return self.tokens.between(token, name, 1, np.inf)
-        if name in ("radius", "size", "HEIGHT"):
+        if name in ("radius", "size", "HEIGHT", "A"):
             return self.tokens.positive(token, name)
         return self.tokens.number(token, name)
 
@@ -277,6 +300,8 @@ class _Reader:
         "back_plane": ((5,), _back_plane),
         "plane": ((14, 16, 19, 21), _plane),
         "window": ((1,), _window),
+        **{name: ((len(columns),), _camera_line(name)) for name, columns in _CAMERA.items()},
+        "orthographic": ((0,), lambda self, _: self.camera.update(orthographic=True)),
     }
 
 
@@ -292,6 +317,7 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
     planes, back = table(reader.planes, 19), reader.back_plane
     pics = [pic for _, pic in reader.pics]
     texture = partial(_read_texture, reader.tokens, folder)
+    view = {n: x if x is True else np.asarray(x, dtype) for n, x in reader.camera.items()}
     return Scene(
         Spheres(
             spheres[:, :3],
@@ -302,7 +328,7 @@ def _build(reader: _Reader, folder: Path, dtype: np.dtype) -> Scene:
             ior=spheres[:, 13],
         ),
         Lights(lights[:, :3], lights[:, 3:6], directional, lights[:, 6]),
-        Camera(*(np.asarray(value, dtype) for value in (*reader.view, reader.window))),
+        Camera(*(np.asarray(value, dtype) for value in (*reader.view, reader.window)), **view),
         Planes(
             planes[:, :3],
             planes[:, 3:6],

@@ -8,6 +8,7 @@ from unicodedata import category
 import numpy as np
 
 from ..base.errors import SceneError
+from ..scene.camera import DEFAULTS
 from ..scene.scene import Scene, known_scene
 from ..scene.texture import Texture
 from .atomic import write_text
@@ -72,6 +73,9 @@ def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
         lines.append(f"plane {_words(*row)}{coat}{checker}")
     if float(c.window) != DEFAULT_WINDOW:
         lines.append(f"window {_words(c.window)}")
+    optional = {name: getattr(c, name) for name in DEFAULTS}
+    lines += [f"{name} {_words(x)}" for name, x in optional.items() if x is not None]
+    lines += ["orthographic"] * c.orthographic
     return "\n".join(lines) + "\n"
 
 

@@ -203,9 +203,10 @@ def fit(
       these, with a warning; other arguments then speak of numbers up to 1.
     - `free`: among `color ka kd ks exponent kgr kt ior center radius` (of all spheres),
       `light_position` (of lights at points), `light_direction` (of directional ones),
-      `light_color`, `theta phi mu distance` (of the camera) and `exposure` (a factor per channel of
-      the whole picture); by default color, ka, kd, ks and where all lights are. An exponent of 0
-      starts as 0.01, an index of refraction of 1 as 1.5; the latter ends in 1..2.5. For centers,
+      `light_color`, `theta phi mu distance roll look_at principal_point pixel_aspect` (of the
+      camera; the focal length is `distance`) and `exposure` (a factor per channel of the whole
+      picture); by default color, ka, kd, ks and where all lights are. An exponent of 0 starts as
+      0.01, an index of refraction of 1 as 1.5; the latter ends in 1..2.5. For centers,
       radii and the camera the scene's antialias flag must be 1, or no derivative tells how edges
       move.
       A mapping says which objects' numbers are: `{"color": [0, 2], "kd": True}` holds all other

@@ -40,7 +40,7 @@ class Layers(eqx.Module):
     Depth, normal and object are those of the ray through the pixel's centre, at its first hit.
     """
 
-    depth: Float[Array, "height width"]  #: from the eye along the ray, world units; inf for none
+    depth: Float[Array, "height width"]  #: along the ray from its start, world units; inf for none
     normal: Float[Array, "height width 3"]  #: of unit length, world axes, towards the eye; or 0
     object: Int[Array, "height width"]  #: spheres from 0, planes, the back plane; -1 for none
     coverage: Float[Array, "height width"]  #: the part of the pixel that shows objects, 0..1

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from functools import cache, wraps
 from statistics import mode
-from typing import Any, ParamSpec, TypeVar
+from types import NoneType
+from typing import Any, ParamSpec, TypeVar, get_args
 
 import jax
 import jax.core
@@ -97,7 +98,7 @@ def material_rows(rows: int, color: Array, *coefficients: Array) -> list[Array]:
 def check_shapes(owner: str, part: Any) -> dict[str, Any]:
     """Checks the arrays of a part of a scene against the axes that its fields are annotated with.
 
-    Python's numbers count as arrays without axes.
+    Python's numbers count as arrays without axes, and what is None and may be is not looked at.
 
     **Arguments:** `owner`: the part's name in the scene, with a dot; empty for the scene itself.
 
@@ -106,7 +107,10 @@ def check_shapes(owner: str, part: Any) -> dict[str, Any]:
     **Raises:** `InputError` for other shapes, and for what is no array.
     """
     fields = _axes_of(type(part))
-    arrays = {name: getattr(part, name) for name in fields}
+    optional = _optional_of(type(part))
+    arrays: dict[str, Any] = {name: getattr(part, name) for name in fields}
+    arrays = {n: x for n, x in arrays.items() if x is not None or n not in optional}
+    fields = {name: fields[name] for name in arrays}
     lengths = _axis_lengths(fields, arrays)
     for name, array in arrays.items():
         wanted = tuple(lengths.get(axis, axis) for axis in fields[name])
@@ -133,13 +137,21 @@ def check_refraction(owner: str, ior: Any) -> None:
 @cache
 def _axes_of(part: type) -> dict[str, tuple[int | str, ...]]:
     """Returns the axes of the fields that are arrays: lengths, or names of lengths."""
-    annotated = {f.name: getattr(f.type, "dim_str", None) for f in dataclasses.fields(part)}
+    kinds = {f.name: (f.type, *get_args(f.type)) for f in dataclasses.fields(part)}
+    named = lambda kinds: [k.dim_str for k in kinds if hasattr(k, "dim_str")]
+    annotated = {name: next(iter(named(kinds)), None) for name, kinds in kinds.items()}
     length = lambda axis: int(axis) if axis.isdigit() else axis
     return {
         name: tuple(map(length, axes.split()))
         for name, axes in annotated.items()
         if axes is not None
     }
+
+
+@cache
+def _optional_of(part: type) -> frozenset[str]:
+    """Returns the names of the fields that may be None."""
+    return frozenset(f.name for f in dataclasses.fields(part) if NoneType in get_args(f.type))
 
 
 def _axis_lengths(

@@ -15,14 +15,22 @@ _MOST_CROSSING, _MOST_SHADOWING = 2000, 64
 
 
 def eye_inside(scene: Scene) -> bool:
-    """Tells whether the eye is inside a sphere, on it, or so near that rounding may decide."""
-    theta, phi, mu = (
-        np.float64(x) for x in (scene.camera.theta, scene.camera.phi, scene.camera.mu)
-    )
-    eye = mu * np.array([np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), np.cos(phi)])
+    """Tells whether the eye is inside a sphere, on it, or so near that rounding may decide.
+
+    Rays of an orthographic camera start all over the plane through the eye.
+    """
+    camera = scene.camera
+    theta, phi, mu = (np.float64(x) for x in (camera.theta, camera.phi, camera.mu))
+    back = np.array([np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), np.cos(phi)])
+    middle = np.zeros(3) if camera.look_at is None else np.asarray(camera.look_at, np.float64)
     center, radius = _spheres(scene)
-    slack = 8 * np.finfo(scene.dtype).eps * (np.linalg.norm(center, axis=1) + mu + radius)
-    return bool((np.linalg.norm(center - eye, axis=1) <= radius + slack).any())
+    from_eye = center - (middle + mu * back)
+    far = np.linalg.norm(center, axis=1) + np.linalg.norm(middle) + mu + radius
+    distance = np.linalg.norm(from_eye, axis=1)
+    if camera.orthographic:
+        far, distance = far + distance, np.abs(from_eye @ back)
+    slack = 8 * np.finfo(scene.dtype).eps * far
+    return bool((distance <= radius + slack).any())
 
 
 def objects_cross(scene: Scene) -> bool:

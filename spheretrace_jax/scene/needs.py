@@ -91,7 +91,7 @@ def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
     ks, kgr, kt = (_differs(scene, name, free) for name in ("ks", "kgr", "kt"))
     ior = _differs(scene, "ior", free, plain=1)
     objects, lights = scene.objects, len(scene.lights)
-    moving = free & {"center", "radius", "theta", "phi", "mu"}
+    moving = free & {"center", "radius", "theta", "phi", "mu", "look_at"}
     inside = bool(kt.any() or (len(spheres) and (moving or feature_tests.eye_inside(scene))))
     moves = inside or free & {"center", "radius", *LIGHT_PLACES}
     clear = () if moves else feature_tests.unshadowed_lights(scene)

@@ -9,11 +9,13 @@ import math
 from collections.abc import Iterable
 from typing import Any, Literal
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
 from ..base.errors import InputError
 from .arrays import is_traced
+from .camera import with_defaults
 from .scene import Scene
 
 Owner = Literal["spheres", "lights", "planes", "camera", "scene"]
@@ -46,7 +48,7 @@ class Parameter:
     fitted: bool = False  #: a fit may set it free
 
     def value(self, scene: Scene) -> Any:
-        """Returns the parameter's array, a leaf of the scene.
+        """Returns the parameter's array, a leaf of the scene; None where it is optional and unset.
 
         Inside `equinox.tree_at` leaves are no arrays, so the type says nothing.
         """
@@ -74,6 +76,10 @@ PARAMETERS = (
     Parameter("phi", "camera", moves_silhouettes=True, fitted=True),
     Parameter("mu", "camera", "positive", moves_silhouettes=True, fitted=True),
     Parameter("distance", "camera", "positive", moves_silhouettes=True, fitted=True),
+    Parameter("roll", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("look_at", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("principal_point", "camera", moves_silhouettes=True, fitted=True),
+    Parameter("pixel_aspect", "camera", "positive", moves_silhouettes=True, fitted=True),
     Parameter("window", "camera", "positive", moves_silhouettes=True),
     Parameter("point", "planes", moves_silhouettes=True),
     Parameter("normal", "planes", moves_silhouettes=True),
@@ -121,6 +127,15 @@ def parameter_names(names: Iterable[str]) -> frozenset[str]:
     if unknown:
         raise InputError(f"free must name parameters of the scene, got {', '.join(unknown)}")
     return chosen
+
+
+def with_optional(scene: Scene, names: Iterable[str]) -> Scene:
+    """Returns a scene whose optional numbers of some names are arrays, at their defaults if unset.
+
+    Arrays can be fitted and differentiated; other names are left as they are.
+    """
+    camera = with_defaults(scene.camera, names)
+    return scene if camera is scene.camera else eqx.tree_at(lambda s: s.camera, scene, camera)
 
 
 def traced_names(scene: Scene) -> frozenset[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from .arrays import is_traced
+from .camera import DEFAULTS
 
 # Limit of the lights that a summary lists, the first ones.
 _MOST_LIGHTS = 4
@@ -46,9 +47,11 @@ def contents(scene: Any) -> str:
 
 
 def camera_line(scene: Any) -> str:
-    """Returns the numbers of the camera."""
-    names = ("theta", "phi", "mu", "distance", "window")
-    return "camera: " + ", ".join(f"{n} {float(getattr(scene.camera, n)):g}" for n in names)
+    """Returns the numbers of the camera that are set."""
+    names = ("theta", "phi", "mu", "distance", "window", *DEFAULTS)
+    numbers = {n: x for n in names if (x := getattr(scene.camera, n)) is not None}
+    words = [f"{n} {short(x)}" for n, x in numbers.items()]
+    return f"camera: {', '.join(words + ['orthographic'] * scene.camera.orthographic)}"
 
 
 def light_line(scene: Any, light: int) -> str:

@@ -28,10 +28,15 @@ class RayCone(eqx.Module):
 
 
 def pixel_cones(camera: Camera, ray: Ray, pixel_side: PixelArray) -> RayCone:
-    """Returns the cones around the rays of pixels.
+    """Returns the cones around the rays of pixels; cylinders for an orthographic camera.
 
-    **Arguments:** `pixel_side`: the side of a pixel on the view plane, world units.
+    **Arguments:** `pixel_side`: the height of a pixel on the view plane, world units.
     """
+    if camera.pixel_aspect is not None:
+        pixel_side = pixel_side * jnp.maximum(camera.pixel_aspect, 1)
+    if camera.orthographic:
+        radius = jnp.full_like(ray.direction.x, _PIXEL_RADIUS * pixel_side)
+        return RayCone(radius, jnp.zeros_like(radius))
     straight = dot(ray.direction, view_frame(camera).forward)
     spread = _PIXEL_RADIUS * pixel_side / camera.distance * straight
     return RayCone(jnp.zeros_like(spread), spread)

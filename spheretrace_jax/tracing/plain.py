@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..base.errors import InputError
 from ..base.types import Highlight, Picture, Scalar
-from ..scene.camera import Camera
+from ..scene.camera import Camera, with_defaults
 from ..scene.planes import Planes
 from ..scene.scene import Scene
 
@@ -52,14 +52,19 @@ def unit(a: Vectors) -> Vectors:
 
 
 def camera_axes(camera: Camera) -> tuple[Vectors, Vectors, Vectors, Vectors]:
-    """Returns eye, right, up and forward: the eye is on a sphere and looks at its centre, 0.
+    """Returns eye, right, up and forward: the eye is on a sphere and looks at its centre.
 
-    eye = mu (sin phi cos theta, sin phi sin theta, cos phi).
+    eye = look_at + mu (sin phi cos theta, sin phi sin theta, cos phi). A camera that rolls turns
+    right and up by Rodrigues' formula: v cos roll + (forward x v) sin roll.
     """
-    (sp, cp), (st, ct) = ((jnp.sin(x), jnp.cos(x)) for x in (camera.phi, camera.theta))
+    c = with_defaults(camera)
+    angles = c.phi, c.theta, c.roll
+    (sp, cp), (st, ct), (sr, cr) = ((jnp.sin(x), jnp.cos(x)) for x in angles)
     vector = lambda x, y, z: jnp.stack([x, y, z])[None]
     outward = vector(sp * ct, sp * st, cp)
-    return camera.mu * outward, vector(-st, ct, 0 * st), vector(-ct * cp, -st * cp, sp), -outward
+    turn = lambda v: v * cr + jnp.cross(-outward, v) * sr
+    eye = c.look_at[None] + c.mu * outward
+    return eye, turn(vector(-st, ct, 0 * st)), turn(vector(-ct * cp, -st * cp, sp)), -outward
 
 
 def plain_rays(
@@ -67,17 +72,21 @@ def plain_rays(
 ) -> tuple[Vectors, Vectors]:
     """Returns the camera rays E + t D through points of the window, which is on the view plane.
 
-    D is along x right + y up + distance forward, with x = (column - width/2) pitch,
-    y = (height/2 - row) pitch and pitch = window/height.
+    D is along x right + y up + distance forward, with x = (column - cx) pitch aspect,
+    y = (cy - row) pitch and pitch = window/height. The axis is seen at (cx, cy) = (width/2,
+    height/2) + height principal_point. Orthographic: E = eye + x right + y up, D = forward.
 
     **Arguments:** `columns`, `rows`: positions in pixels from the picture's left and top edge; the
     centre of pixel (i, j) is at (i + 1/2, j + 1/2). `size`: the picture's (width, height).
     """
-    eye, right, up, forward = camera_axes(camera)
-    pitch = camera.window / size[1]
-    x, y = (columns[:, None] - size[0] / 2) * pitch, (size[1] / 2 - rows[:, None]) * pitch
-    D = unit(x * right + y * up + camera.distance * forward)
-    return jnp.broadcast_to(eye, D.shape), D
+    c, (eye, right, up, forward) = with_defaults(camera), camera_axes(camera)
+    pitch, (px, py) = c.window / size[1], c.principal_point
+    x = (columns[:, None] - size[0] / 2 - size[1] * px) * pitch * c.pixel_aspect
+    y = (size[1] / 2 + size[1] * py - rows[:, None]) * pitch
+    across = x * right + y * up
+    if c.orthographic:
+        return eye + across, jnp.broadcast_to(forward, across.shape)
+    return jnp.broadcast_to(eye, across.shape), unit(across + c.distance * forward)
 
 
 def spheres(scene: Scene) -> Iterator[tuple[int, tuple[Vectors, Numbers]]]:

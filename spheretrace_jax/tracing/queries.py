@@ -71,7 +71,8 @@ def _closest_object(context: TraceContext, ray: Ray, source_hit: Hit | None) -> 
 
 def _visit_tiles(tiles: ScreenTiles, ray: Ray, visitor: Visitor, best: Packed) -> Packed:
     """Finds the closest spheres of rays from the eye, with the spheres of their tiles."""
-    return tiles.visit(visitor, (ray.direction, None, None), best)
+    origin = ray.origin if jnp.ndim(ray.origin.x) else None  # one for all, but of parallel rays
+    return tiles.visit(visitor, (ray.direction, origin, None), best)
 
 
 def _visit_grid(

@@ -231,7 +231,7 @@ def test_a_fit_that_runs_out_of_steps_is_written_and_exits_with_1(spheretrace):
 
 FREE = (
     "color, ka, kd, ks, exponent, kgr, kt, center, radius, light_position, light_color, "
-    "theta, phi, mu, distance, exposure"
+    "theta, phi, mu, distance, roll, look_at, principal_point, pixel_aspect, exposure"
 )
 
 MISTAKES = {

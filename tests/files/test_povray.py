@@ -9,6 +9,7 @@ Those with "samples" are averages of many rays, for pictures whose edges are cov
 import dataclasses
 import importlib.util
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -17,9 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.picture_files import P3_D50, icc_profile, write_raw
+from helpers.scenes import SCENES, VIEWS, with_camera
 
 import spheretrace_jax as st
 from spheretrace_jax.files.povray import povray_text, write_povray
+from spheretrace_jax.scene.camera import pixel_rays
 
 FOLDER = Path(__file__).parents[2] / "data" / "references"
 REFERENCES = json.loads((FOLDER / "references.json").read_text())
@@ -176,6 +179,39 @@ def test_falloff_is_povray_s_fading():
 
 def test_lecture_scene_is_exact():
     assert "not exact" not in povray_text(load("nine_spheres"))
+
+
+def povray_rays(text: str, columns, rows, size) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the rays of a camera in POV-Ray's language, by the formulas of its reference."""
+    lines = text[text.index("camera {") :].splitlines()[1:6]
+    kind, *vectors = (line.split(maxsplit=1) for line in lines)
+    names = dict(image_width=size[0], image_height=size[1], array=np.array)
+    vector = lambda words: eval(re.sub("<(.*?)>", r"array([\1])", words), names)
+    location, right, up, direction = (vector(words) for _, words in vectors)
+    assert [name for name, *_ in vectors] == ["location", "right", "up", "direction"]
+    across = (columns / size[0] - 0.5)[:, None] * right + (0.5 - rows / size[1])[:, None] * up
+    if kind == ["orthographic"]:
+        return location + across, np.broadcast_to(direction, across.shape)
+    assert kind == ["perspective"]
+    return np.broadcast_to(location, across.shape), direction + across
+
+
+@pytest.mark.parametrize("view", [None, *VIEWS])
+def test_its_camera_has_our_rays(view):
+    scene = with_camera(SCENES["shadows"], **VIEWS.get(view, {}))
+    columns, rows, size = np.array([0.5, 20, 63]), np.array([3.0, 30, 47.5]), (64, 48)
+    origin, direction = povray_rays(povray_text(scene), columns, rows, size)
+    ray = pixel_rays(scene.camera, jnp.asarray(columns), jnp.asarray(rows), size)
+    as_rows = lambda v: np.stack([np.broadcast_to(x, 3) for x in (v.x, v.y, v.z)], axis=-1)
+    np.testing.assert_allclose(origin, as_rows(ray.origin), atol=1e-11)
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    np.testing.assert_allclose(direction, as_rows(ray.direction), atol=1e-13)
+
+
+def test_parallel_rays_in_a_bubble_are_not_exact():
+    scene = with_camera(small_scene(kt=0.5), orthographic=True, mu=jnp.array(30.0))
+    assert "// not exact: far walls" in povray_text(scene)
+    assert "far walls" not in povray_text(with_camera(scene, mu=jnp.array(500.0)))
 
 
 def test_file_is_named_after_its_scene_but_not_its_folder(tmp_path):

@@ -54,6 +54,11 @@ back_plane .1 .2 .3 .4 .5
 plane 0 0 -9 0 0 1 .5 .5 .5 .2 .8 0 1 .1
 plane 0 0 -9 0 1 1 .5 .5 .5 .2 .8 0 1 .1 checker 1 1 1 60
 window 300
+roll .1
+look_at 1 2 3
+principal_point .1 .2
+pixel_aspect 1.1
+orthographic
 """,
     "nine spheres": (Path(__file__).parents[2] / "data" / "nine_spheres.txt").read_text(),
     "nothing": "0 0 1 1 0 0\n0",
@@ -63,6 +68,7 @@ _WORDS = [
     *("0", "-0", "+1", "-1", ".5", "1.", "1e39", "-1e39", "1e400", "1e-46", "1e-400", "1_0"),
     *("nan", "inf", "-inf", "٣", "1,5", "999999999999999999", "9" * 500, "1e999999999", "0x10"),
     *("texture", "plane", "checker", "window", "background", "back_plane", "fog", "--1", "1e"),
+    *("roll", "look_at", "orthographic"),
     *('"', '""', '"two words.exr"', '"two', "a.exr", ".", "..", "/", "//", "x" * 300),
     *("\ufeff", "\u2028", "\x0b", "\x85", "\x9b31m", "\u202e", "é", "\n", "\r", "\t", " ", "\0"),
 ]

@@ -126,3 +126,32 @@ def assert_same(a: st.Scene, b: st.Scene) -> None:
     for x, y in zip(jax.tree.leaves(a_arrays), jax.tree.leaves(b_arrays), strict=True):
         assert (x.dtype, x.shape) == (y.dtype, y.shape)
         assert np.asarray(x).tobytes() == np.asarray(y).tobytes()
+
+
+def with_camera(scene: st.Scene, **changes) -> st.Scene:
+    """Returns the scene seen by a camera with other numbers."""
+    return eqx.tree_at(lambda s: s.camera, scene, dataclasses.replace(scene.camera, **changes))
+
+
+#: Cameras as photographs have them, as changes of another camera.
+VIEWS = {
+    "rolled": dict(roll=0.4),
+    "looking aside": dict(look_at=jnp.array([30.0, -20, 10])),
+    "off the middle": dict(principal_point=jnp.array([0.12, -0.2])),
+    "wide pixels": dict(pixel_aspect=1.6),
+    "all": dict(
+        roll=-0.7,
+        look_at=jnp.array([-10.0, 15, 20]),
+        principal_point=jnp.array([-0.1, 0.06]),
+        pixel_aspect=0.7,
+    ),
+    "orthographic": dict(orthographic=True, window=320.0),
+    "orthographic, all": dict(
+        orthographic=True,
+        window=320.0,
+        roll=-0.7,
+        look_at=jnp.array([-10.0, 15, 20]),
+        principal_point=jnp.array([-0.1, 0.06]),
+        pixel_aspect=0.8,
+    ),
+}

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings, strategies
 
 import spheretrace_jax as st
-from spheretrace_jax.scene.feature_tests import any_colored, objects_cross, unshadowed_lights
+from spheretrace_jax.scene.feature_tests import (
+    any_colored,
+    eye_inside,
+    objects_cross,
+    unshadowed_lights,
+)
 
 
 def scene_of(center, radius, lights) -> st.Scene:
@@ -72,3 +77,20 @@ def test_spheres_that_touch_cross_and_colours_differ_by_any_channel():
     assert not any_colored(jnp.ones((3, 3)), jnp.zeros(3)) and any_colored(
         jnp.ones(3), jnp.array([0, 0, 1])
     )
+
+
+@pytest.mark.parametrize(
+    ("camera", "inside"),
+    [
+        (dict(mu=5.0), False),
+        (dict(mu=5.0, look_at=[0.0, 0, -4.5]), True),
+        (dict(mu=0.5, look_at=[9.0, 0, 0]), False),
+        # the plane where parallel rays start cuts the sphere, though the eye is far away
+        (dict(mu=0.5, look_at=[9.0, 0, 0], orthographic=True), True),
+        (dict(mu=1.5, look_at=[9.0, 0, 0], orthographic=True), False),
+    ],
+)
+def test_the_eye_in_a_sphere(camera, inside):
+    scene = scene_of([[0.0, 0, 0]], [1.0], np.zeros((0, 3)))
+    scene = eqx.tree_at(lambda s: s.camera, scene, st.Camera(**camera))
+    assert eye_inside(scene) == st.needs(scene).inside == inside

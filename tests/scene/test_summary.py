@@ -1,5 +1,6 @@
 """Summaries of scenes: short, and of what the scene holds."""
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -40,3 +41,12 @@ def test_under_a_trace():
     said = []
     jax.jit(lambda scene: said.append(str(scene)) or 0)(SCENES["diffuse"])
     assert said == ["3 spheres, 1 light, 0 planes, 0 textures, float64: its numbers are traced"]
+
+
+def test_what_is_set_of_a_camera_is_said():
+    camera = st.Camera(roll=0.5, look_at=[1, 2, 3.5], pixel_aspect=1.25, orthographic=True)
+    scene = eqx.tree_at(lambda s: s.camera, nine_spheres(), camera)
+    assert str(scene).splitlines()[1] == (
+        "camera: theta 0, phi 0, mu 500, distance 800, window 512, roll 0.5, look_at 1 2 3.5, "
+        "pixel_aspect 1.25, orthographic"
+    )

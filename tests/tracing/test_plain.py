@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.random_scenes import random_scene
-from helpers.scenes import SCENES
+from helpers.scenes import SCENES, VIEWS, with_camera
 
 import spheretrace_jax as st
 from spheretrace_jax.tracing.plain import plain_picture, plain_radiance, plain_rays
@@ -150,3 +150,23 @@ def test_its_derivatives_are_finite_by_everything(name, bounces):
 def test_it_refuses_unknown_highlights():
     with pytest.raises(Exception, match="gouraud"):
         plain_picture(SCENES["shadows"], 4, 4, "gouraud")
+
+
+@pytest.mark.parametrize(
+    ("view", "name"),
+    [
+        pytest.param(view, name, marks=() if view.endswith("all") and k == 1 else pytest.mark.slow)
+        for view in VIEWS
+        for k, name in enumerate(("glass", "planes", "textures"))
+    ],
+)
+def test_it_sees_what_the_renderer_sees_by_other_cameras(view, name):
+    assert_same_picture(with_camera(SCENES[name], **VIEWS[view]), "phong", bounces=2)
+
+
+@pytest.mark.parametrize("cut", [0.0, 50.0])
+def test_parallel_rays_start_inside_spheres(cut):
+    # the plane of the eye cuts one sphere, and the other one is before it or behind
+    scene = with_camera(SCENES["shadows"], orthographic=True, window=320.0, mu=cut)
+    assert st.needs(scene).inside
+    assert_same_picture(scene, "phong", bounces=0)

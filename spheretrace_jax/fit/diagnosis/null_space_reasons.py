@@ -7,14 +7,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, PyTree
 
-from ...scene.camera import view_frame
 from ...scene.lights import Lights
 from ...scene.parameters import LIGHT_PLACES, rows_of
-from ...scene.scene import Scene
 from ..model.parameters import LIGHTS
 from ..problem.labels import CHANNELS, joined, labels_of
 from ..problem.problem import Problem
 from .evidence import Arrays, Direction, Evidence
+from .motion_reasons import exchange_reasons, motion_reasons
 from .null_columns import null_light_columns, null_sphere_columns
 
 # The largest difference of two lights' coordinates, as a part of the largest coordinate, up to
@@ -56,12 +55,12 @@ def null_space_reasons(
     # nearly diagonal, so that its square loses no digits
     inverse = np.linalg.solve(jacobian.T @ jacobian + np.diag(1.0 * (length == 0)), jacobian.T)
     inverse = inverse / np.where(length > 0, length, 1)[:, None]
-    for reasons in (_scale_reasons, _light_reasons, _motion_reasons):
+    for reasons in (_scale_reasons, _light_reasons, motion_reasons, exchange_reasons):
         for sentence, directions in reasons(evidence):
             flat = inverse @ np.stack([evidence.flat(d) for d in directions], axis=1)
             # what does not show at all has had a sentence already
             flat = np.where(null[:, None], 0, flat)
-            certain = reasons is _motion_reasons and evidence.moves_with_eye
+            certain = reasons is motion_reasons and evidence.moves_with_eye
             yield Reason(sentence, flat, certain=certain)
 
 
@@ -228,75 +227,3 @@ def _one_place(
         left = [i for i in left if i not in group]
         if len(group) > 1:
             yield why, group
-
-
-def _row(v) -> np.ndarray:
-    return np.array([[v.x, v.y, v.z]], float)
-
-
-def _backward(scene: Scene) -> np.ndarray:
-    """Returns the camera's axis, from the origin to the eye, as one row."""
-    return -_row(view_frame(scene.camera).forward)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Growth:
-    """A direction in which all lengths grow around one point on each camera's axis."""
-
-    evidence: Evidence
-    around: list[float]  #: the points' distances from the origin, one for each picture
-
-    def __call__(self, k: int) -> Arrays:
-        natural, around = self.evidence.natural[k], self.around[k]
-        back = _backward(self.evidence.scenes[k])
-        growing = {n: natural[n] for n in ("radius",) if n in natural}
-        growing |= {n: natural[n] - around for n in ("mu",) if n in natural}
-        positions = {n: natural[n] for n in ("center", "light_position") if n in natural}
-        return growing | {n: x - around * back for n, x in positions.items()}
-
-
-@dataclasses.dataclass(frozen=True)
-class _CameraMotion:
-    """A direction in which spheres and lights move with the eye as one camera parameter grows."""
-
-    evidence: Evidence
-    name: str  #: mu, theta or phi
-
-    def __call__(self, k: int) -> Arrays:
-        natural, scene = self.evidence.natural[k], self.evidence.scenes[k]
-        moving = ["center", "light_position"] + ["light_direction"] * (self.name != "mu")
-        positions = {n: natural[n] for n in moving if n in natural}
-        moved = {n: self._velocity(x, scene) for n, x in positions.items()}
-        return moved | {self.name: np.ones_like(natural[self.name])}
-
-    def _velocity(self, position: np.ndarray, scene: Scene) -> np.ndarray:
-        if self.name == "mu":
-            return np.broadcast_to(_backward(scene), position.shape)
-        if self.name == "theta":
-            return np.cross([[0.0, 0, 1]], position)
-        return np.cross(_row(view_frame(scene.camera).right), position)
-
-
-def _motion_reasons(evidence: Evidence) -> Iterator[tuple[str, list[Direction]]]:
-    """Yields motions of everything together with the eye, and the growth of everything."""
-    free = set(evidence.free)
-    scale = "the scale of the world is not determined"
-    if "radius" in free:
-        mu = [float(scene.camera.mu) for scene in evidence.scenes]
-        yield scale, [_Growth(evidence, mu)]
-    for name in ("mu", "theta", "phi"):
-        if name in free:
-            yield (
-                f"the camera's {name} against the world is not determined",
-                [_CameraMotion(evidence, name)],
-            )
-    if {"radius", "mu"} <= free:
-        # around where a plane stays, or what several eyes look at
-        planes, back = evidence.scenes[0].planes, _backward(evidence.scenes[0])
-        feet = [
-            float(np.dot(p, n) / slope)
-            for p, n in zip(np.asarray(planes.point), np.asarray(planes.normal), strict=True)
-            if (slope := (back @ n)[0])
-        ]
-        for around in (*feet, 0.0):
-            yield scale, [_Growth(evidence, [around] * len(evidence.scenes))]

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from ...base.errors import InputError
-from ...scene.parameters import FITTED, LIGHT_PLACES, LIMITS, rows_of
+from ...scene.parameters import FITTED, LIGHT_PLACES, LIMITS, rows_of, with_optional
 from ...scene.scene import Scene
 
 Free = Sequence[str] | Mapping[str, Any]
 """Names of free parameters, or which objects' numbers are free by name."""
 
 #: What the rows of parameters are, by their owner.
-OBJECTS = {"spheres": "sphere", "lights": "light", "scene": "channel"}
+OBJECTS = {"spheres": "sphere", "lights": "light", "camera": "coordinate", "scene": "channel"}
 
 
 class Constraint(eqx.Module):
@@ -136,11 +136,13 @@ def make_constraints(
 
 def start_of(scene: Scene, name: str) -> np.ndarray:
     """Returns the numbers of a parameter at the start; of the exposure 1 per channel."""
-    return np.ones(3) if name == "exposure" else np.asarray(FITTED[name].value(scene), np.float64)
+    if name == "exposure":
+        return np.ones(3)
+    return np.asarray(FITTED[name].value(with_optional(scene, (name,))), np.float64)
 
 
 def objects_of(name: str) -> str:
-    """Returns a word for one of the objects that a parameter has rows for; "" for the camera's."""
+    """Returns a word for one of the objects that a parameter has rows for."""
     return "channel" if name == "exposure" else OBJECTS.get(FITTED[name].owner, "")
 
 
@@ -245,6 +247,8 @@ def _groups(name: str, shape: tuple[int, ...], tie: Any) -> list[np.ndarray]:
     what = f"tie[{name!r}]"
     if not shape:
         raise InputError(f"{what}: {name} is one number")
+    if objects_of(name) == OBJECTS["camera"]:
+        raise InputError(f"{what}: the camera has one {name}")
     if _is(tie, True):
         tie = [list(range(shape[0]))]
     if not isinstance(tie, list | tuple | np.ndarray):

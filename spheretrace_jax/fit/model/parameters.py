@@ -18,7 +18,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...base.errors import InputError
-from ...scene.parameters import FITTED, LIGHT_PLACES, MOST_REFRACTION, light_places, rows_of
+from ...scene.parameters import (
+    FITTED,
+    LIGHT_PLACES,
+    MOST_REFRACTION,
+    light_places,
+    rows_of,
+    with_optional,
+)
 from ...scene.scene import Scene
 from ...xla.jit import compiled
 from .constraints import Constraint
@@ -92,8 +99,11 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
 
 
 def value(scene: Scene, name: str) -> Array:
-    """Returns the array of a scene that a free parameter's name stands for."""
-    return ACCESSORS[name](scene)
+    """Returns the array of a scene that a free parameter's name stands for.
+
+    Optional numbers that are unset are at their defaults.
+    """
+    return ACCESSORS[name](with_optional(scene, (name,)))
 
 
 def default_free(scene: Scene) -> tuple[str, ...]:
@@ -193,7 +203,7 @@ class Parameters(eqx.Module):
         if name == "center":
             radius = self.scene.spheres.radius
             return jnp.where(radius > 0, radius, 1)[:, None]
-        return 1
+        return bounding_sphere(self.scene)[1] if name == "look_at" else 1
 
     @compiled
     def natural(self, unknowns: Values) -> Values:

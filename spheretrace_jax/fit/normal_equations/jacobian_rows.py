@@ -11,6 +11,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ...base.vec import SplitVec, Vec
@@ -100,5 +101,6 @@ def _by_camera(see: See, context: TraceContext, index: ParameterIndex) -> Rows:
         return see(context.of_scene(eqx.tree_at(at_camera, scene, values)))
 
     _, push = jax.linearize(forward, at_camera(scene))
-    moved = jax.vmap(push)(list(jnp.eye(len(index.camera), dtype=scene.dtype)))
+    flat, unflatten = ravel_pytree(at_camera(scene))
+    moved = jax.vmap(lambda unit: push(unflatten(unit)))(jnp.eye(flat.size, dtype=scene.dtype))
     return jnp.stack([moved.x, moved.y, moved.z], axis=1)

@@ -12,7 +12,7 @@ from ...base.errors import InputError
 from ...base.types import Highlight
 from ...scene.arrays import is_traced
 from ...scene.needs import needs
-from ...scene.parameters import LIGHT_PLACES
+from ...scene.parameters import LIGHT_PLACES, with_optional
 from ...scene.scene import Scene, check_scene
 from ...scene.settings import render_settings
 from ...xla.sharding import gather_on_host, replicate
@@ -77,6 +77,7 @@ def make_problem(
             f"there must be one target for each scene, got {len(scenes)} scenes and "
             f"{len(images)} targets"
         )
+    scenes = [with_optional(one, free) for one in scenes]
     for one in scenes:
         check_present(one, free)
     if priors and counts.get("noise") is None:

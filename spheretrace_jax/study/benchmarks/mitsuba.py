@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ...base.errors import InputError
 from ...scene.camera import view_frame
 from ...scene.lights import Lights
 from ...scene.scene import Scene
@@ -76,17 +77,30 @@ def mitsuba_scene(mi: Any, scene: Scene, size: int, shape: str = "sphere") -> An
 
     **Arguments:** `shape`: `"sphere"` for one shape each; `"ellipsoids"` for all spheres in one
     shape, of one colour.
+
+    **Raises:** `InputError` for cameras that are orthographic, or whose pixels have an aspect.
     """
     frame, light = view_frame(scene.camera), np.asarray(scene.lights.position[0], float)
     eye, up, forward = (np.array([v.x, v.y, v.z]) for v in (frame.eye, frame.up, frame.forward))
     rgb = lambda color: {"type": "rgb", "value": list(map(float, color))}
     intensity = rgb([np.pi * light @ light] * 3)
     film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+    camera = scene.camera
+    if camera.orthographic or camera.pixel_aspect is not None:
+        raise InputError("mitsuba_scene takes perspective cameras with square pixels only")
     fov = float(np.degrees(2 * np.arctan(scene.camera.window / 2 / scene.camera.distance)))
     view = mi.ScalarTransform4f().look_at(origin=eye, target=eye + forward, up=up)
+    middle = (0.0, 0.0) if camera.principal_point is None else np.asarray(camera.principal_point)
     entries = {
         "type": "scene",
-        "sensor": {"type": "perspective", "fov": fov, "to_world": view, "film": film},
+        "sensor": {
+            "type": "perspective",
+            "fov": fov,
+            "principal_point_offset_x": -float(middle[0]),
+            "principal_point_offset_y": -float(middle[1]),
+            "to_world": view,
+            "film": film,
+        },
         "light": {"type": "point", "position": light.tolist(), "intensity": intensity},
         # surface samples never meet a point light; `prb` takes twice the time, and does not move it
         "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},

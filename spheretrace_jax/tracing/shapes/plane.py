@@ -17,6 +17,9 @@ from ..cone import RayCone
 from ..differential import Differential
 from ..hit import PixelCoverage, PixelHit, ShadowCoverage, ShadowedPixel, ShadowSegment, Surface
 
+# D.N up to this many rounding errors is 0: the ray runs along the plane.
+_LEAST_CROSSING = 4
+
 # Near its horizon a plane is taken to be as steep as this part of what D.N varies in the pixel: a
 # plane seen edge-on would else be infinitely far away.
 _LEAST_SLOPE = 0.1
@@ -151,7 +154,9 @@ class Plane(eqx.Module):
         side = jnp.where(away < 0, -1, 1).astype(away.dtype)
         extent = (jnp.abs(slope.dx) + jnp.abs(slope.dy)) / 2
         toward = side * slope.value
-        t = jnp.abs(away) / jnp.maximum(toward, jnp.where(extent > 0, _LEAST_SLOPE * extent, 1))
+        # parallel rays have no horizon: they cross the plane, or none of them does
+        none = _LEAST_CROSSING * float(jnp.finfo(toward.dtype).eps)
+        t = jnp.abs(away) / jnp.maximum(toward, jnp.where(extent > 0, _LEAST_SLOPE * extent, none))
         some = (toward > -extent) & (away != 0) & ~is_source
         return PixelCoverage(t, jnp.full(is_source.shape, False), some, toward >= extent)
 
@@ -179,4 +184,4 @@ def _crosses(slope: PixelArray) -> Mask:
 
     An eye in the plane would else see it at 0/0, with derivatives of 1e13 along the horizon.
     """
-    return jnp.abs(slope) > 4 * float(jnp.finfo(slope.dtype).eps)
+    return jnp.abs(slope) > _LEAST_CROSSING * float(jnp.finfo(slope.dtype).eps)

@@ -1,0 +1,23 @@
+"""The table of a fit's parameters."""
+
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import jax.numpy as jnp
+import numpy as np
+from helpers.scenes import SCENES, with_camera
+
+from spheretrace_jax import Fit
+from spheretrace_jax.cli.report import parameter_table
+
+
+def test_numbers_of_the_camera_have_one_line_each():
+    start = SCENES["diffuse"]
+    found = with_camera(start, roll=jnp.array(0.5), look_at=jnp.array([1.0, 2, 3]))
+    spread = {"roll": np.array(0.01), "look_at": np.array([0.1, 0.2, np.inf])}
+    fit = Mock(spec=Fit, scene=found, uncertainty=SimpleNamespace(standard_deviations=spread))
+    table = parameter_table(start, fit, ("roll", "look_at"))
+    assert table.splitlines()[2:] == [
+        "| roll | camera | 0 | 0.5 | 0.01 |",
+        "| look_at | camera | 0 0 0 | 1 2 3 | 0.1 0.2 - |",
+    ]
