@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 from ..base.errors import InputError, PictureWarning
 from ..base.types import Colorspace
 from ..fit.fit import TOLERANCE
-from ..fit.model.parameters import NAMES
+from ..fit.model.accessors import NAMES
 from ..fit.model.target import PHOTO, Loss
 from ..fit.solver.gauge import Gauge
 from ..fit.solver.light_search import Start

@@ -8,7 +8,8 @@ import numpy as np
 from ..files.atomic import replacing, write_text
 from ..fit import Fit
 from ..fit.diagnosis.trust import together
-from ..fit.model.parameters import CAMERA, bounding_sphere, value
+from ..fit.model.accessors import CAMERA, value
+from ..fit.model.parameters import bounding_sphere
 from ..scene.scene import Scene
 
 

@@ -12,7 +12,8 @@ from ..scene.camera import DEFAULTS
 from ..scene.scene import Scene, known_scene
 from ..scene.texture import Texture
 from .atomic import write_text
-from .scene_text import DEFAULT_WINDOW, SPHERE_COLUMNS, check_text
+from .scene_reader import DEFAULT_WINDOW, SPHERE_COLUMNS
+from .scene_text import check_text
 
 
 def save_scene(path: str | os.PathLike, scene: Scene) -> None:

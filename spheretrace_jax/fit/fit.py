@@ -19,8 +19,8 @@ from .diagnosis.identifiability import Identifiability, identify
 from .diagnosis.model_error import with_model_error
 from .diagnosis.trust import Trust, judge, together
 from .diagnosis.uncertainty import Uncertainty, estimate
+from .model.accessors import GEOMETRY
 from .model.constraints import Free, objects_of
-from .model.parameters import GEOMETRY
 from .model.photo_noise import PhotoNoise
 from .model.target import Loss
 from .multistart import fit_from_starts

@@ -13,7 +13,8 @@ from ..scene.parameters import LIGHT_PLACES, rows_of
 from ..scene.scene import Scene
 from .diagnosis.outliers import find_outliers, resting_on_outliers
 from .diagnosis.residual_structure import explains
-from .model.parameters import GEOMETRY, Parameters, bounding_sphere
+from .model.accessors import GEOMETRY
+from .model.parameters import Parameters, bounding_sphere
 from .problem.problem import Problem
 from .solver.driver import Driver
 

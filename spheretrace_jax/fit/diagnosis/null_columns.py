@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..model.parameters import LIGHTS, SPHERES
+from ..model.accessors import LIGHTS, SPHERES
 from ..problem.labels import CHANNELS, joined
 from .evidence import Evidence, Indices
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, PyTree
 
 from ...scene.lights import Lights
 from ...scene.parameters import LIGHT_PLACES, rows_of
-from ..model.parameters import LIGHTS
+from ..model.accessors import LIGHTS
 from ..problem.labels import CHANNELS, joined, labels_of
 from ..problem.problem import Problem
 from .evidence import Arrays, Direction, Evidence

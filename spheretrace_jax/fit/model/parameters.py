@@ -8,9 +8,6 @@ the truth lies on a bound (colour 0, ks 0), in 7 steps on the nine spheres. Sigm
 slope vanishes at a bound, had not arrived after 60.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,29 +21,12 @@ from ...scene.parameters import (
     MOST_REFRACTION,
     light_places,
     rows_of,
-    with_optional,
 )
 from ...scene.scene import Scene
 from ...xla.jit import compiled
+from .accessors import NAMES, Values, value, with_values
 from .constraints import Constraint
 from .light_position import LightPosition, light_direction_at, light_position_at, no_bound
-
-Values = dict[str, Float[Array, "..."]]
-
-
-def _accessors(owner: str) -> dict[str, Callable[[Scene], Any]]:
-    return {name: p.value for name, p in FITTED.items() if p.owner == owner}
-
-
-#: From the scene to the parameters of spheres, lights and the camera.
-SPHERES, LIGHTS, CAMERA = (_accessors(owner) for owner in ("spheres", "lights", "camera"))
-ACCESSORS = SPHERES | LIGHTS | CAMERA
-
-#: The names of parameters that may be free. The exposure is a picture's, not the scene's.
-NAMES = (*ACCESSORS, "exposure")
-
-#: Those whose change is seen only by where edges are.
-GEOMETRY = frozenset(name for name, p in FITTED.items() if p.moves_silhouettes)
 
 # Parameters are scaled by their range: folded into 0..1, fitted by their logarithm, or by their
 # absolute value. An exponent may be 0 but is fitted by its logarithm too. Indices of refraction are
@@ -96,42 +76,6 @@ def check_present(scene: Scene, free: tuple[str, ...]) -> None:
             raise InputError(f"{name} is free, but {has} directional: {light_places(scene)[0]}?")
         if name in _ABOVE_0 and not (value(scene, name) > 0).all():
             raise InputError(f"{name} is free: it must start above 0")
-
-
-def value(scene: Scene, name: str) -> Array:
-    """Returns the array of a scene that a free parameter's name stands for.
-
-    Optional numbers that are unset are at their defaults.
-    """
-    return ACCESSORS[name](with_optional(scene, (name,)))
-
-
-def default_free(scene: Scene) -> tuple[str, ...]:
-    """Returns what is free by default: materials but exponents, and where the lights are."""
-    return ("color", "ka", "kd", "ks", *light_places(scene))
-
-
-def distinct(names: Iterable[str]) -> dict[str, Callable[[Scene], Any]]:
-    """Returns the accessors of parameters by their names, those of one array only once."""
-    found: dict[str, str] = {}
-    for name in names:
-        found.setdefault(array_name(name), name)
-    return {name: ACCESSORS[name] for name in found.values()}
-
-
-def array_name(name: str) -> str:
-    """Returns the name of the array that a parameter's name stands for."""
-    parameter = FITTED[name]
-    return f"{parameter.owner}.{parameter.attribute or name}"
-
-
-def with_values(scene: Scene, values: Values) -> Scene:
-    """Returns a scene with other values of some parameters; of lights' places only their rows."""
-    for name, x in values.items():
-        if name in LIGHT_PLACES and not (rows := rows_of(scene, name)).all():
-            x = jnp.where(rows[:, None], x, value(scene, name))
-        scene = eqx.tree_at(ACCESSORS[name], scene, x)
-    return scene
 
 
 class Parameters(eqx.Module):

@@ -19,7 +19,7 @@ from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
 from ...xla.sharding import device_count, divide
-from ..model.parameters import distinct
+from ..model.accessors import distinct
 from .cells import (
     CELLS,
     SAMPLES,

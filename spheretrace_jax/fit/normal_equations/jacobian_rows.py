@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ...base.vec import SplitVec, Vec
 from ...tracing.context import TraceContext
 from ...tracing.tables import PixelTables
-from ..model.parameters import CAMERA, SPHERES, array_name, distinct
+from ..model.accessors import CAMERA, SPHERES, array_name, distinct
 from .parameter_index import ParameterIndex
 
 Rows = Float[Array, "columns 3 pixels"]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ...scene.scene import Scene
-from ..model.parameters import CAMERA, LIGHTS, SPHERES, value
+from ..model.accessors import CAMERA, LIGHTS, SPHERES, value
 
 Places = Int[np.ndarray, "..."]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..model.parameters import LIGHTS, SPHERES
+from ..model.accessors import LIGHTS, SPHERES
 from .problem import Problem
 
 CHANNELS = ("red", "green", "blue")

@@ -16,17 +16,9 @@ from ...scene.parameters import LIGHT_PLACES, with_optional
 from ...scene.scene import Scene, check_scene
 from ...scene.settings import render_settings
 from ...xla.sharding import gather_on_host, replicate
+from ..model.accessors import CAMERA, GEOMETRY, LIGHTS, default_free, value
 from ..model.constraints import Constraint, Free, free_names, make_constraints
-from ..model.parameters import (
-    CAMERA,
-    GEOMETRY,
-    LIGHTS,
-    Parameters,
-    check_free,
-    check_present,
-    default_free,
-    value,
-)
+from ..model.parameters import Parameters, check_free, check_present
 from ..model.target import make_target
 from ..normal_equations.gbuffer import make_gbuffer
 from .memory import warn_of_memory

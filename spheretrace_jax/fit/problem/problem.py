@@ -16,7 +16,8 @@ from ...scene.parameters import LIGHT_PLACES
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
 from ...xla.jit import compiled
-from ..model.parameters import Parameters, value, with_values
+from ..model.accessors import value, with_values
+from ..model.parameters import Parameters
 from ..model.target import Target
 from ..normal_equations.gbuffer import GBuffer, fixed_arrays, make_gbuffer
 from ..normal_equations.normal_equations import NormalEquations, normal_equations

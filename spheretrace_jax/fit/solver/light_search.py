@@ -16,8 +16,9 @@ from ...base.errors import InputError
 from ...scene.parameters import LIGHT_PLACES, rows_of
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
+from ..model.accessors import GEOMETRY
 from ..model.constraints import Constraint
-from ..model.parameters import GEOMETRY, Parameters, bounding_sphere
+from ..model.parameters import Parameters, bounding_sphere
 from ..model.target import Target
 from ..problem.problem import Problem
 from .exponent_search import with_best_exponents, with_exponents

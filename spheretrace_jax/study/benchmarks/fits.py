@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ...base.types import Picture
 from ...fit import fit
 from ...fit.fit import DEFAULT_FREE
-from ...fit.model.parameters import ACCESSORS, default_free
+from ...fit.model.accessors import ACCESSORS, default_free
 from ...fit.model.products import PRODUCTS
 from ...fit.solver.driver import Progress
 from ...rendering.render import render

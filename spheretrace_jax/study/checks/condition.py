@@ -12,7 +12,7 @@ from ...base.types import Highlight, Picture
 from ...fit.diagnosis.identifiability import identify
 from ...fit.diagnosis.trust import together
 from ...fit.diagnosis.uncertainty import Uncertainty, estimate
-from ...fit.model.parameters import GEOMETRY, default_free, value
+from ...fit.model.accessors import GEOMETRY, default_free, value
 from ...fit.model.products import PRODUCTS
 from ...fit.problem.labels import labels_of
 from ...fit.problem.make_problem import make_problem
