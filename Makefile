@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow study extremes bench bench-edges bench-fit lint references clean
+.PHONY: demo test test-slow study extremes bench bench-edges bench-fit bench-lights lint references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
@@ -36,6 +36,11 @@ bench-edges: $(READY)
 # time, error and recovery of fits; about an hour
 bench-fit: $(READY)
 	$(BIN)/python tests/bench/fit.py
+
+# lights of photographs by Mitsuba; about five minutes
+bench-lights: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[bench]'
+	$(BIN)/python tests/bench/photographs.py
 
 lint: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[lint]'

@@ -23,6 +23,9 @@ Grade = Literal["good", "usable", "not to be used"]
 # light is good and usable.
 _GRADES: tuple[tuple[Grade, float, float], ...] = (("good", 3.0, 0.1), ("usable", 15.0, 0.4))
 
+# The part of the ball's pixels from which it is said that they do not count.
+_MANY_LEFT_OUT = 0.1
+
 # Standard deviations of the one-sided 95 % limit of a Gaussian.
 _ONE_SIDED = 1.645
 
@@ -50,7 +53,7 @@ class BallLight(eqx.Module):
     outline: BallOutline
     found: FoundLight | None  #: the fit; None of a mirroring ball
     ambient: Vector  #: what the ball shows without the light
-    highlight: Vector  #: peak of the highlight
+    highlight: Vector  #: peak of the highlight, as bright as the light is at the centre
 
     @property
     def at_infinity(self) -> bool:
@@ -98,16 +101,21 @@ def light_of_fit(
     weights = np.asarray(rows.terms, float)[:, 2]
     values = np.asarray(found.samples.values, float) * weights
     unexplained = float(np.linalg.norm(rows.residual) / max(np.linalg.norm(values), 1e-300))
-    peak = np.asarray(rows.terms, float)[:, 1] / np.where(weights > 0, weights, np.inf)
+    shine = np.asarray(rows.terms, float)[:, 1] / np.where(weights > 0, weights, np.inf)
+    direction, brightest = np.asarray(fit.direction, float), int(shine.max(axis=0).argmax())
+    normal = np.asarray(found.samples.normals, float)[:, brightest]
+    # as bright as at the ball's centre: points that are closer to the light are brighter
+    closer = np.sum((direction - float(fit.unknowns[2]) * normal) ** 2)
+    peak = shine[:, brightest].max() * (closer if fit.model.falloff else 1)
     remarks = []
     share = 1 - photo.counts.any(axis=2).sum() / max(photo.pixels.mask.sum(), 1)
-    if share > 0.2:
+    if share > _MANY_LEFT_OUT:
         remarks.append(f"{share:.0%} of the ball do not count")
     if unexplained > _GRADES[0][2]:
         remarks.append(f"{unexplained:.0%} of the ball's brightness is not explained")
     return BallLight(
         name,
-        flip_frame(np.asarray(fit.direction, float)),
+        flip_frame(direction),
         error,
         distance * radius,
         min(least, distance) * radius,
@@ -120,7 +128,7 @@ def light_of_fit(
         photo.outline,
         found,
         amplitudes[:, 2],
-        amplitudes[:, 1] * peak.max(axis=1),
+        amplitudes[:, 1] * peak,
     )
 
 

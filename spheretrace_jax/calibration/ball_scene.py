@@ -11,7 +11,7 @@ from .ball_photo import BallPhoto
 from .ball_radiance import COAT_IOR
 from .camera import Number, flip_frame
 
-# The largest coefficients of a scene.
+# The largest coefficient of a scene.
 _MOST = 1.0
 
 
@@ -24,7 +24,7 @@ def ball_scene(
     material is that of the scene's own model nearest to the one found: ambient, diffuse with or
     without a coat, highlight of the same width. `fit` improves it, from here.
 
-    **Arguments:** `light`: as found in `photo`. `albedo`: the ball's diffuse colour.
+    **Arguments:** `light`: as found in `photo`. `albedo`: what its colour was divided by.
     """
     height, width = photo.picture.shape[:2]
     outline = photo.outline
@@ -46,9 +46,12 @@ def ball_scene(
         focal = intrinsics.focal
         camera = Camera.from_intrinsics(focal, focal, cx, cy, width, height)
     to_light = flip_frame(light.direction)
-    color = np.maximum(light.color, 0)
-    shown = np.where(color > 0, color, 1)
-    coefficient = lambda part: float(np.clip(np.mean(part / shown), 0, _MOST))
+    diffuse, shine = (np.maximum(x, 0) for x in (light.color * albedo, light.highlight))
+    # highlights have the light's colour, which so is told from the ball's
+    hue = shine / shine.max() if (shine > 0).all() else np.ones(3)
+    bright = max(float((diffuse / hue).max()), float(shine.max()))
+    color, surface = bright * hue, diffuse / (bright * hue)
+    ambient = float(np.clip(light.ambient.mean() / max(diffuse.mean(), 1e-300), 0, _MOST))
     exponent, coat = 60.0, 0.0
     if light.found is not None:
         unknowns = np.asarray(light.found.fit.unknowns, float)
@@ -56,10 +59,10 @@ def ball_scene(
     spheres = Spheres(
         center[None],
         [radius],
-        color=np.minimum(albedo, _MOST)[None],
-        ka=coefficient(light.ambient / albedo),
+        color=surface[None],
+        ka=ambient,
         kd=1.0,
-        ks=coefficient(light.highlight),
+        ks=float(shine.max() / bright),
         exponent=exponent,
         ior=COAT_IOR if coat > 0.5 else 1.0,
     )

@@ -39,6 +39,9 @@ _CLEARLY_BETTER = 0.9
 # explains the picture as well.
 _AS_WELL = 1.25
 
+# The part of all amplitudes from which a light is there at all, and no rounding.
+_LEAST_LIGHT = 1e-5
+
 # The least inverse distance that is one, in standard deviations; less is at infinity.
 _NEAR = 2.0
 
@@ -133,6 +136,9 @@ def _choose(
     lanes = [_again(best, lobe, falloff, w, held=h) for h in (held, far) for w in weightings]
     solved = _solve(samples, lanes)
     near, infinite = solved[: len(WEIGHTINGS)], solved[len(WEIGHTINGS) :]
+    amplitudes = near[0].amplitudes
+    if not amplitudes[:, :2].sum() > _LEAST_LIGHT * amplitudes.sum():
+        raise InputError("the pixels of the ball that count show no light: all are as dark")
     alike = [fit for fit in fits if bool(fit.model.falloff) == falloff]
 
     def covariance(chosen: Sequence[LightFit], held: Bool[np.ndarray, "6"]) -> Covariance:

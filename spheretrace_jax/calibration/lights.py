@@ -238,7 +238,9 @@ def _outline(
     numbers = np.asarray(ball)
     if numbers.ndim == 1 and numbers.shape == (3,) and numbers.dtype.kind in "uif":
         camera: Intrinsics = intrinsics_of(image.shape[:2], focal, principal_point)
-        return outline_of_ellipse(Ellipse.circle(*numbers.tolist(), std=_BY_HAND), camera)
+        return outline_of_ellipse(
+            Ellipse.circle(*numbers.astype(float).tolist(), std=_BY_HAND), camera
+        )
     if numbers.ndim >= 2 and coverage_of(numbers).shape != image.shape[:2]:
         raise InputError(
             f"{name}: expected a mask of {image.shape[1]} x {image.shape[0]} pixels, "
