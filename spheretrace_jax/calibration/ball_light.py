@@ -12,7 +12,7 @@ from .camera import Number, flip_frame
 from .conic import BallOutline
 from .highlights import Spot
 from .light_covariance import confidence_radius
-from .light_fit import FoundLight
+from .light_fit import FoundLight, unexplained_part
 from .light_solver import rows_at
 
 Vector = Float[np.ndarray, "3"]
@@ -87,9 +87,18 @@ class BallLight(eqx.Module):
 
 
 def light_of_fit(
-    name: str, photo: BallPhoto, found: FoundLight, albedo: Vector, radius: Number
+    name: str,
+    photo: BallPhoto,
+    found: FoundLight,
+    albedo: Vector,
+    radius: Number,
+    better: str | None = None,
 ) -> BallLight:
-    """Makes the light of a fit. **Arguments:** `radius`: of the ball, in the unit of distances."""
+    """Makes the light of a fit.
+
+    **Arguments:** `radius`: of the ball, in the unit of distances. `better`: as what the numbers
+    fit better.
+    """
     fit = found.fit
     error = float(np.degrees(confidence_radius(found.covariance[:2, :2])))
     nearness, deviation = found.nearness
@@ -99,8 +108,7 @@ def light_of_fit(
     amplitudes = np.asarray(fit.amplitudes, float) * photo.level
     rows = rows_at(fit, found.samples)
     weights = np.asarray(rows.terms, float)[:, 2]
-    values = np.asarray(found.samples.values, float) * weights
-    unexplained = float(np.linalg.norm(rows.residual) / max(np.linalg.norm(values), 1e-300))
+    unexplained = unexplained_part(fit, found.samples)
     shine = np.asarray(rows.terms, float)[:, 1] / np.where(weights > 0, weights, np.inf)
     direction, brightest = np.asarray(fit.direction, float), int(shine.max(axis=0).argmax())
     normal = np.asarray(found.samples.normals, float)[:, brightest]
@@ -113,6 +121,8 @@ def light_of_fit(
         remarks.append(f"{share:.0%} of the ball do not count")
     if unexplained > _GRADES[0][2]:
         remarks.append(f"{unexplained:.0%} of the ball's brightness is not explained")
+    if better is not None:
+        remarks.append(f"it fits better if its numbers are taken as {better}")
     return BallLight(
         name,
         flip_frame(direction),

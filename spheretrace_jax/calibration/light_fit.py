@@ -21,7 +21,7 @@ from .ball_radiance import (
 from .highlights import brightest_spot
 from .lambert import lambert_light
 from .light_covariance import Covariance, facing, light_covariance
-from .light_solver import LANES, LightFit, solve_lights
+from .light_solver import LANES, LightFit, rows_at, solve_lights
 
 Vector = Float[np.ndarray, "3"]
 
@@ -94,10 +94,10 @@ def find_light(
         for direction in _first_directions(photo)
         for exponent in _EXPONENTS
     ]
-    best = _best(_solve(samples, starts))
+    best = best_of(solve_lanes(samples, starts))
     models = [(lobe, True) for lobe in range(len(LOBES))] + [(_PHONG, False), (_HALFWAY, False)]
-    fits = _solve(samples, [_again(best, lobe, falloff) for lobe, falloff in models])
-    best, other = _best(fits[: len(LOBES)]), _best(fits[len(LOBES) :])
+    fits = solve_lanes(samples, [lane_from(best, lobe, falloff) for lobe, falloff in models])
+    best, other = best_of(fits[: len(LOBES)]), best_of(fits[len(LOBES) :])
     best = other if other.cost < _CLEARLY_BETTER * best.cost else best
     return _choose(photo, samples, best, fits, False)
 
@@ -133,8 +133,8 @@ def _choose(
     far = held.copy()
     far[2] = True
     weightings = range(len(WEIGHTINGS))
-    lanes = [_again(best, lobe, falloff, w, held=h) for h in (held, far) for w in weightings]
-    solved = _solve(samples, lanes)
+    lanes = [lane_from(best, lobe, falloff, w, held=h) for h in (held, far) for w in weightings]
+    solved = solve_lanes(samples, lanes)
     near, infinite = solved[: len(WEIGHTINGS)], solved[len(WEIGHTINGS) :]
     amplitudes = near[0].amplitudes
     if not amplitudes[:, :2].sum() > _LEAST_LIGHT * amplitudes.sum():
@@ -145,6 +145,7 @@ def _choose(
         fit = chosen[0]
         unknowns = np.asarray(fit.unknowns, float)
         free = ~held & (unknowns > np.array(LOWEST)) & (unknowns < np.array(HIGHEST))
+        free[2] = not held[2]  # how far at least a light at infinity is, tells its slope there
         rivals = [(other, 1.0) for other in chosen[1:]]
         rivals += [(other, float(other.cost / fit.cost)) for other in alike]
         return light_covariance(fit, samples, photo.chosen, free, rivals, photo.moved)
@@ -181,7 +182,7 @@ def _start(direction: Vector, lobe: int, exponent: float) -> _Lane:
     return _Lane(light_model(direction, lobe), start, np.zeros(6, bool))
 
 
-def _again(
+def lane_from(
     fit: LightFit,
     lobe: int,
     falloff: bool,
@@ -196,7 +197,7 @@ def _again(
     return _Lane(light_model(np.asarray(fit.direction), lobe, falloff, weighting), start, held)
 
 
-def _solve(samples: BallSamples, lanes: Sequence[_Lane]) -> list[LightFit]:
+def solve_lanes(samples: BallSamples, lanes: Sequence[_Lane]) -> list[LightFit]:
     """Makes six fits at once. **Returns:** each."""
     if len(lanes) != LANES:
         raise ValueError(f"expected {LANES} lanes, got {len(lanes)}")
@@ -211,6 +212,14 @@ def _solve(samples: BallSamples, lanes: Sequence[_Lane]) -> list[LightFit]:
     return [jax.tree.map(lambda leaf, k=k: leaf[k], fits) for k in range(LANES)]
 
 
-def _best(fits: Sequence[LightFit]) -> LightFit:
+def best_of(fits: Sequence[LightFit]) -> LightFit:
     """Returns the fit of least cost among fits by the same weights."""
     return min(fits, key=lambda fit: float(fit.cost) if np.isfinite(fit.cost) else np.inf)
+
+
+def unexplained_part(fit: LightFit, samples: BallSamples) -> float:
+    """Returns which part of the rms of weighted values a fit leaves."""
+    rows = rows_at(fit, samples)
+    weights = np.asarray(rows.terms, float)[:, 2]
+    values = np.asarray(samples.values, float) * weights
+    return float(np.linalg.norm(rows.residual) / max(np.linalg.norm(values), 1e-300))

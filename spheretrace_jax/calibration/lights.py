@@ -17,6 +17,7 @@ from .camera import Intrinsics, Number, intrinsics_of
 from .conic import BallOutline, Ellipse, outline_of_ellipse
 from .highlights import chrome_spots
 from .light_fit import FoundLight, find_light, median_material
+from .numbers_check import better_numbers
 from .outline import ball_from_mask, coverage_of
 from .photo_outline import ball_from_photo
 
@@ -155,14 +156,15 @@ def lights(
         return BallLights(found, [None] * len(found), color, radius)
     exclusion = Exclusion(mask, brightest, darkest)
     photos = [ball_photo(*each, exclusion) for each in zip(names, images, outlines, strict=True)]
-    alone = []
+    alone, better = [], []
     for name, photo in zip(names, photos, strict=True):
         alone.append(_named(name, find_light, photo))
-        tell(light_of_fit(name, photo, alone[-1], color, radius))
+        better.append(better_numbers(photo, alone[-1]))
+        tell(light_of_fit(name, photo, alone[-1], color, radius, better[-1]))
     if shared and len(photos) > 1:
         alone = _share(photos, alone)
-    each = zip(names, photos, alone, strict=True)
-    found = [light_of_fit(name, photo, one, color, radius) for name, photo, one in each]
+    each = zip(names, photos, alone, better, strict=True)
+    found = [light_of_fit(n, p, one, color, radius, words) for n, p, one, words in each]
     return BallLights(found, photos, color, radius)
 
 

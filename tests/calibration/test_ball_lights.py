@@ -1,5 +1,6 @@
 """Lights of photographs of balls: those of another renderer, and drawn ones with a known truth."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -208,3 +209,23 @@ def test_balls_without_light():
     assert light.grade == "not to be used" and light.error > 15
     with pytest.raises(st.InputError, match="photo 1: the ball is black, no light shows"):
         st.lights(np.zeros((*SIZE, 3)), OUTLINE)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "word"), [("side.png", "srgb", "linear"), ("far.jpg", "linear", "sRGB")]
+)
+def test_numbers_of_another_colour_space_are_named(name, wrong, word):
+    right = "linear" if wrong == "srgb" else "srgb"
+    picture = lambda space: np.asarray(st.read_image(FOLDER / name, space), float)
+    bent = st.lights(picture(wrong), focal=FOCAL)[0]
+    assert any(f"taken as {word}" in remark for remark in bent.remarks), bent
+    straight = st.lights(picture(right), focal=FOCAL)[0]
+    assert not straight.remarks and straight.unexplained < bent.unexplained / 2
+
+
+@pytest.mark.slow
+def test_the_documented_blocks_run(monkeypatch):
+    page = (FOLDER.parents[1] / "docs" / "photographs.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(FOLDER.parents[1])
+    for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(block, "photographs.md", "exec"), {})

@@ -66,3 +66,11 @@ def test_fit_geometry(tmp_path):
     found = {k: float(v) for k, v in re.findall(r"(\S+) +largest error (\S+)", said)}
     assert set(found) == {"center", "radius", "light_position"} and max(found.values()) < 1e-8
     assert st.read_image(tmp_path / "fit_geometry.png").mean() > 0.1
+
+
+@pytest.mark.slow
+def test_light_of_ball(tmp_path):
+    said = run("light_of_ball.py", "--fit", folder=tmp_path)
+    off = [float(x) for x in re.findall(r"([\d.]+) degrees off the truth", said)]
+    assert len(off) == 4 and max(off) < 0.6
+    assert "free: color, ka, kd, ks, exponent, ior, light_position" in said
