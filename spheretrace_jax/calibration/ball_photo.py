@@ -111,6 +111,11 @@ def ball_photo(
     pixels = ball_pixels(outline, _size(picture.shape), margin=_MARGIN)
     counts = np.isfinite(picture) & pixels.mask[..., None]
     if exclusion.mask is not None:
+        if exclusion.mask.shape != picture.shape[:2]:
+            raise InputError(
+                f"{name}: expected a mask of {picture.shape[1]} x {picture.shape[0]} pixels, "
+                f"got shape {exclusion.mask.shape}"
+            )
         counts &= exclusion.mask[..., None]
     if exclusion.darkest is not None:
         counts &= picture > exclusion.darkest

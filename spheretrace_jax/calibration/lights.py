@@ -2,13 +2,14 @@
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Num
+from jaxtyping import ArrayLike, Float, Num, Shaped
 
 from ..base.errors import InputError, PictureWarning
-from ..fit.model.picture_numbers import linear_numbers
+from ..fit.model.picture_numbers import linear_numbers, yes_or_no
 from ..scene.scene import Scene
 from .ball_light import BallLight, light_of_fit, light_of_spot
 from .ball_photo import BallPhoto, Exclusion, ball_photo
@@ -91,7 +92,7 @@ def lights(
     focal: Number = np.inf,
     principal_point: tuple[Number, Number] | None = None,
     names: Sequence[str] | None = None,
-    mask: Bool[np.ndarray, "height width"] | None = None,
+    mask: Shaped[np.ndarray, "height width"] | None = None,
     brightest: Number | None = None,
     darkest: Number | None = None,
     albedo: ArrayLike | Sequence = (1.0, 1.0, 1.0),
@@ -148,13 +149,13 @@ def lights(
     if chrome:
         found = []
         for name, image, outline in zip(names, images, outlines, strict=True):
-            spots = chrome_spots(image, outline, count, level=brightest)
+            spots = _named(name, partial(chrome_spots, level=brightest), image, outline, count)
             of_one = [light_of_spot(name, spot, outline, radius) for spot in spots]
             for light in of_one:
                 tell(light)
             found += of_one
         return BallLights(found, [None] * len(found), color, radius)
-    exclusion = Exclusion(mask, brightest, darkest)
+    exclusion = Exclusion(None if mask is None else yes_or_no(np.asarray(mask)), brightest, darkest)
     photos = [ball_photo(*each, exclusion) for each in zip(names, images, outlines, strict=True)]
     alone, better = [], []
     for name, photo in zip(names, photos, strict=True):
@@ -219,8 +220,10 @@ def _outlines(
 
 def _mean(images: Sequence[Picture]) -> Picture:
     """Returns the mean picture, each as bright: in it every part of the outline is lit."""
-    scaled = [np.nan_to_num(image) / max(np.quantile(image, 0.999), 1e-300) for image in images]
-    return np.mean([np.clip(image, 0, 1) for image in scaled], axis=0)
+    total = np.zeros_like(images[0])
+    for image in map(np.nan_to_num, images):
+        total += np.clip(image / max(np.quantile(image, 0.999), 1e-300), 0, 1)
+    return total / len(images)
 
 
 def _outline(

@@ -187,6 +187,7 @@ def test_chrome_ball():
     [
         ({"ball": "round"}, "ball: expected auto, a mask or .x, y, radius., got 'round'"),
         ({"ball": np.ones((5, 5))}, "expected a mask of 100 x 90 pixels, got 5 x 5"),
+        ({"mask": np.ones((7, 8), bool)}, "expected a mask of 100 x 90 pixels, got shape .7, 8."),
         ({"ball": [OUTLINE, OUTLINE]}, "ball: expected 1, one for each picture, got 2"),
         ({"names": ["a", "b"]}, "names: expected 1, one for each picture, got 2"),
         ({"albedo": (1, 0, 1)}, "albedo: expected three numbers above 0"),
