@@ -30,7 +30,7 @@ from .problem.problem import Problem, normal_at
 from .solver.driver import Driver, Progress, StoppedBy, check_solver
 from .solver.gauge import GAUGES, Gauge, fix_gauge
 from .solver.levenberg_marquardt import BoundedLevenbergMarquardt, tolerances
-from .solver.light_search import Start, problem_starts
+from .solver.light_search import Start, last_starts, problem_starts
 
 #: What is free by default where all lights are at points.
 DEFAULT_FREE = ("color", "ka", "kd", "ks", "light_position")
@@ -309,7 +309,8 @@ def fit(
         return BoundedLevenbergMarquardt(rtol, atol, *started.bounds(), cautious=bool(edges))
 
     driver = Driver(method, jacobian == "dense", rtol + atol, max_steps, callback)
-    found = fit_from_starts(driver, problem_starts(problem, start), noise is not None)
+    starts = problem_starts(problem, start), last_starts(problem, start)
+    found = fit_from_starts(driver, *starts, noise is not None)
     values, pairs = _finish(found.problem, found.values, gauge)
     best = Fit(
         scenes=[scene for scene, _ in pairs],

@@ -1,6 +1,6 @@
 """Multistart: a fit from one start after the other, until one explains the pictures."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -62,24 +62,20 @@ class Found(NamedTuple):
         return self.converged and explains(self.problem, self.values, self.cost)
 
 
-def fit_from_starts(driver: Driver, starts: Iterator[Problem], noise_given: bool) -> Found:
+def fit_from_starts(
+    driver: Driver, starts: Iterable[Problem], last: Iterable[Problem], noise_given: bool
+) -> Found:
     """Returns the first that explains the pictures, or the best, of what starts lead to.
 
-    Solves past the edges of shadows come last: they take many steps, and another start may do
-    without them.
+    Solves past the edges of shadows come after all starts: they take many steps, and another start
+    may do without them.
+
+    **Arguments:** `last`: starts for when even these solves do not explain the pictures.
     """
     tried: list[Found] = []
     try:
-        for started in starts:
-            driver.begin(started)
-            tried.append(_fit_from_start(driver, started, noise_given))
-            driver.keep(*tried[-1][:3])
-            if driver.stopped_by:
-                break
-            if tried[-1].explains:
-                if _rests_on_outliers(tried[-1], noise_given):
-                    tried.append(_past_shadow_edges(driver, tried[-1]))
-                return tried[-1]
+        if _explained_from(starts, driver, tried, noise_given):
+            return tried[-1]
         if tried and not driver.stopped_by and _is_near(min(tried, key=_rank)):
             started = _from_afar(min(tried, key=_rank))
             driver.begin(started)
@@ -92,11 +88,30 @@ def fit_from_starts(driver: Driver, starts: Iterator[Problem], noise_given: bool
             tried.append(_past_shadow_edges(driver, found))
             if tried[-1].explains:
                 break
+        if not driver.stopped_by and not tried[-1].explains:
+            _explained_from(last, driver, tried, noise_given)
     except KeyboardInterrupt:  # between two solves, or while the next start is sought
         if not tried:
             raise
         driver.stopped_by = "interrupt"
     return min(tried, key=_rank)
+
+
+def _explained_from(
+    starts: Iterable[Problem], driver: Driver, tried: list[Found], noise_given: bool
+) -> bool:
+    """Adds what starts lead to, up to the first that explains the pictures. **Returns:** if so."""
+    for started in starts:
+        driver.begin(started)
+        tried.append(_fit_from_start(driver, started, noise_given))
+        driver.keep(*tried[-1][:3])
+        if driver.stopped_by:
+            break
+        if tried[-1].explains:
+            if _rests_on_outliers(tried[-1], noise_given):
+                tried.append(_past_shadow_edges(driver, tried[-1]))
+            return True
+    return False
 
 
 def _rank(found: Found) -> float:

@@ -202,7 +202,8 @@ def test_fit_of_some_spheres(spheretrace):
     status, out, err = spheretrace(
         *FIT, *options.split(), "--brightest", ".95,inf,1", "--report", "r"
     )
-    assert (status, err) == (1, "") and "at its bound: sphere 2's kd" in out
+    assert (status, err) == (0, "") and "at its bound: sphere 2's kd" in out
+    assert "usable" in out
     assert "what is known of ks counts: priors, as given" in out
     found = st.load_scene("fitted.txt", np.float64).spheres
     np.testing.assert_array_equal(found.kd, [scene.spheres.kd[0], 0.45])
@@ -230,8 +231,8 @@ def test_a_fit_that_runs_out_of_steps_is_written_and_exits_with_1(spheretrace):
 # --- mistakes -------------------------------------------------------------------------------------
 
 FREE = (
-    "color, ka, kd, ks, exponent, kgr, kt, center, radius, light_position, light_color, "
-    "theta, phi, mu, distance, roll, look_at, principal_point, pixel_aspect, exposure"
+    "color, ka, kd, ks, exponent, kgr, kt, ior, center, radius, light_position, light_direction, "
+    "light_color, theta, phi, mu, distance, roll, look_at, principal_point, pixel_aspect, exposure"
 )
 
 MISTAKES = {

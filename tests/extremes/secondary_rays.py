@@ -16,6 +16,7 @@ import spheretrace_jax as st
 from extremes.case import Case, case
 from spheretrace_jax.base.vec import Vec, unit, vec
 from spheretrace_jax.scene.camera import Ray
+from spheretrace_jax.scene.light import Light
 from spheretrace_jax.tracing.context import TraceContext
 from spheretrace_jax.tracing.hit import Hit
 from spheretrace_jax.tracing.queries import closest_hit, light_visible
@@ -89,7 +90,7 @@ def depart(center, radius, hit, point, toward, light, needs: st.Needs = NEEDS) -
     def trial(center, radius, hit, point, toward, light):
         context, ray = _context(center, radius, needs), Ray(vec(point), unit(vec(toward)))
         again = closest_hit(context, ray, hit).id
-        lit = light_visible(context, ray.origin, hit, vec(light))
+        lit = light_visible(context, ray.origin, hit, Light(vec(light), None, False))
         return again, _rows(ray.direction), lit
 
     return jax.vmap(trial)(center, radius, hit, point, toward, light)

@@ -11,8 +11,9 @@ import spheretrace_jax as st
 from extremes.case import Case, case
 from extremes.pictures import PIXELS, SIDE, Extreme, picture_case, three
 from spheretrace_jax.base.vec import dot, unit, vec
+from spheretrace_jax.scene.light import Light
 from spheretrace_jax.tracing.hit import Surface
-from spheretrace_jax.tracing.shading import blinn, light_terms
+from spheretrace_jax.tracing.shading import Finish, blinn, light_terms
 
 AHEAD = st.Camera(0.0, 0.0, 500.0, 900.0, 300.0)  #: the middle pixel looks down the z axis
 BALL = dict(center=[[0.0, 0, 0], [-150, 40, 0], [150, -60, 30]], radius=[100.0, 45, 60])
@@ -100,7 +101,7 @@ def right_angle() -> str:
         normal, direction, light = (vec(jnp.asarray(row, dtype)) for row in rows)
         surface = Surface(normal * 0, normal, -dot(normal, direction))
         shine = lambda light, n, s=surface, d=direction: light_terms(
-            s, d, light, n, jnp.array(True), "phong"
+            s, d, Light(light, None, False), Finish(n, None), jnp.array(True), "phong"
         )[1]
         for exponent, expected in ((0.0, 1), (1.0, 0), (1e6, 0)):
             arguments = light, jnp.asarray(exponent, dtype)

@@ -206,7 +206,7 @@ OWN = "own must name free parameters of lights or camera, got {}"
          OWN.format("light_position")),
         (LIGHTS, [TARGET] * 2, dict(own=("ks", "light_position")), OWN.format("ks")),
         (LIGHTS, [TARGET] * 2, dict(own=("light_position", "lights")), OWN.format("lights")),
-        ([FRONT, BACK], [TARGET, np.full((4, 5), 0.5)], {}, r"target must have shape .*\(4, 5\)"),
+        ([FRONT, BACK], [TARGET, np.full((4, 5, 2), 0.5)], {}, r"target must have shape .*4, 5, 2"),
     ],
 )  # fmt: skip
 def test_mistakes(scenes, targets, settings, message):

@@ -7,6 +7,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import equinox as eqx
 import helpers.sharded as sharded
 import jax
 import numpy as np
@@ -123,6 +124,7 @@ def test_sharding_on_one_device_compiles_once(monkeypatch):
     scene = three_spheres().astype(np.float32)
     for factor in (0.9, 1.0):
         changed = jax.tree.map(lambda leaf, f=factor: leaf * f, scene)
+        changed = eqx.tree_at(lambda s: s.spheres.ior, changed, scene.spheres.ior)  # at least 1
         found = st.render(changed, **PICTURE, sharding=NamedSharding(ROWS.mesh, ROWS.spec))
     assert len(traced) == 1 and found.dtype == np.float32
     np.testing.assert_allclose(found, st.render(scene, **PICTURE), atol=1e-6)

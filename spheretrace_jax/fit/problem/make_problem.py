@@ -146,7 +146,8 @@ def _check_shared(scenes: list[Scene], free: tuple[str, ...], per_picture: froze
             if not bool(eqx.tree_equal(getattr(first, owner), getattr(other, owner))):
                 raise InputError(f"scene {k} has other {owner} than the first: they must be equal")
         for name in sorted((_MAY_DIFFER - {"exposure"}) & set(free) - per_picture):
-            if name in LIGHT_PLACES and first.lights.directional != other.lights.directional:
+            kinds, others = first.lights.directional, other.lights.directional
+            if name in LIGHT_PLACES and len(kinds) == len(others) and kinds != others:
                 raise InputError(f"scene {k} has other directional lights than the first")
             if not bool(eqx.tree_equal(value(first, name), value(other, name))):
                 raise InputError(

@@ -72,8 +72,6 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
         )
     elif not _lights_apart(problem):
         raise InputError(f"start {start} does not know lights whose positions are tied")
-    # what the search leads to may be worse than the scene's own start, which then comes last
-    last = {"scene": [], "lights": [problem], "auto": problem_starts(problem, "scene")}[start]
     starts_of = starts_from_nothing if start == "auto" else starts_from_lights
     pictures = zip(problem.parameters, problem.targets, problem.settings, strict=True)
     if not set(LIGHT_PLACES) & problem.per_picture:
@@ -82,7 +80,14 @@ def problem_starts(problem: Problem, start: Start) -> Iterator[Problem]:
     for start_scenes in zip(*scenes, strict=False):
         started = problem.starting_at(start_scenes)
         yield started.traced_at(started.start()) if problem.edges_move else started
-    yield from last
+
+
+def last_starts(problem: Problem, start: Start) -> Iterator[Problem]:
+    """Yields the scene's own start: what a search leads to may be worse."""
+    if start == "lights":
+        yield problem
+    elif start == "auto":
+        yield from problem_starts(problem, "scene")
 
 
 def is_separable(problem: Problem) -> bool:
