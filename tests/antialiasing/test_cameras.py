@@ -68,7 +68,7 @@ FREE = {
 }
 
 
-@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("orthographic", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_finite_differences(orthographic):
     scene = ambient_spheres([[-50.0, 40, 0], [60, -30, 60]], [50.0, 45], ka=0.3, kd=0.7)
     scene = with_camera(scene, **DEFAULTS, orthographic=orthographic)
@@ -113,10 +113,9 @@ def many_spheres(dtype, **view) -> st.Scene:
 @pytest.mark.parametrize(
     ("view", "dtype"),
     [
-        pytest.param(view, dtype, marks=() if fast else pytest.mark.slow)
+        pytest.param(view, dtype, marks=pytest.mark.slow)
         for dtype in ("float32", "float64")
         for view in ("all", "orthographic, all", "orthographic")
-        for fast in [view != "orthographic" and dtype == "float32"]
     ],
 )
 def test_many_spheres_are_found(view, dtype, monkeypatch):
