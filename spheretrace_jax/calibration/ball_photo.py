@@ -25,8 +25,8 @@ _MARGIN = 1.5
 # spread samples would miss it.
 _BRIGHTEST = 8
 
-# The quantile of the ball's values that is 1 to the fit.
-_LEVEL = 0.99
+#: The quantile of the ball's values that is 1 to the fit.
+LEVEL_QUANTILE = 0.99
 
 # The fewest pixels that tell a light.
 _LEAST = 50
@@ -130,7 +130,7 @@ def ball_photo(
             f"{name}: expected {_LEAST} pixels of the ball that are not saturated or masked, "
             f"got {found} of {ball}"
         )
-    level = float(np.quantile(picture[counts], _LEVEL))
+    level = float(np.quantile(picture[counts], LEVEL_QUANTILE))
     if not level > 0:
         raise InputError(f"{name}: the ball is black, no light shows")
     return BallPhoto(picture, counts, outline, pixels, level, _choose(picture, shown))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..base.srgb import code_srgb, srgb
-from .ball_photo import BallPhoto
+from .ball_photo import LEVEL_QUANTILE, BallPhoto
 from .ball_radiance import LOBES, BallSamples
 from .light_fit import FoundLight, best_of, lane_from, solve_lanes, unexplained_part
 from .light_solver import LANES, LightFit
@@ -23,9 +23,6 @@ _BETTER = 0.7
 # The part of the rms that is left from which the numbers are looked at: photographs with the right
 # ones leave 0.015 to 0.03, with others 0.05 to 0.08. It takes half as long as the fit.
 _SUSPECT = 0.03
-
-# The quantile of the values that is 1 to the fit, as in `ball_photo.py`.
-_LEVEL = 0.99
 
 _WORDS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "sRGB-encoded": srgb,
@@ -50,7 +47,7 @@ def better_numbers(photo: BallPhoto, found: FoundLight) -> str | None:
     best, words = _BETTER * left, None
     for as_what, curve in _WORDS.items():
         other = curve(np.clip(numbers, 0, 1))
-        other = other / np.quantile(other[counts > 0], _LEVEL)
+        other = other / np.quantile(other[counts > 0], LEVEL_QUANTILE)
         changed = jnp.asarray(np.where(counts > 0, other, 0), samples.values.dtype)
         part = _left(eqx.tree_at(lambda s: s.values, samples, changed), found.fit)
         if part < best:
