@@ -182,7 +182,7 @@ def _separate(
     best = max(fits, key=lambda fit: fit.likelihood)
     # centres of pixels lie more evenly than at random: the blocks' sums say 0.15, and balls at
     # random places with radii of 8 to 300 pixels are 0.35 off in variance
-    covariance = inflated(best.information, best.scores, block_of(pixels, ball), least=0.45)
+    covariance = inflated(best.information, best.scores, block_of(pixels, ball), least=0.38)
     return best.ball, covariance
 
 
