@@ -107,9 +107,9 @@ def light_of_fit(
     beyond = nearness - _ONE_SIDED * deviation
     amplitudes = np.asarray(fit.amplitudes, float) * photo.level
     rows = rows_at(fit, found.samples)
-    weights = np.asarray(rows.terms, float)[:, 2]
-    unexplained = unexplained_part(fit, found.samples)
-    shine = np.asarray(rows.terms, float)[:, 1] / np.where(weights > 0, weights, np.inf)
+    unexplained = unexplained_part(rows, found.samples)
+    weights = np.where(rows.weights > 0, rows.weights, np.inf)
+    shine = np.asarray(rows.terms, float)[:, 1] / weights
     direction, brightest = np.asarray(fit.direction, float), int(shine.max(axis=0).argmax())
     normal = np.asarray(found.samples.normals, float)[:, brightest]
     # as bright as at the ball's centre: points that are closer to the light are brighter

@@ -16,8 +16,6 @@ from .camera import Number
 from .conic import BallOutline, outline_of_numbers
 from .light_solver import SAMPLES, LightFit
 
-Color = Float[np.ndarray, "3"]
-
 # How far from the outline pixels are left out, in pixels: they show a part of the background.
 _MARGIN = 1.5
 
@@ -57,15 +55,10 @@ class BallPhoto(eqx.Module):
         at = number[rows, columns]
         counts = self.counts[rows, columns] & (at >= 0)[:, None]
         # as many samples for every ball: what is missing does not count
-        counts[self._distinct :] = False
+        counts[self.counts.any(axis=2).sum() :] = False
         planes = (pixels.normals[at], pixels.views[at], self.picture[rows, columns] / self.level)
         values = np.where(counts, planes[2], 0)
         return BallSamples(*(jnp.asarray(x.T, float) for x in (*planes[:2], values, counts)))
-
-    @property
-    def _distinct(self) -> int:
-        """Counts the samples before the first that stands for a missing one."""
-        return min(int(self.counts.any(axis=2).sum()), SAMPLES)
 
     def shown(self, fit: LightFit) -> Float[np.ndarray, "height width 3"]:
         """Returns what a fit shows of all pixels of the ball; nan elsewhere."""
@@ -95,14 +88,11 @@ class Exclusion(NamedTuple):
     darkest: Number | None = None  #: numbers up to here are too dark
 
 
-EVERYTHING_COUNTS = Exclusion()
-
-
 def ball_photo(
     name: str,
     picture: Float[np.ndarray, "height width 3"],
     outline: BallOutline,
-    exclusion: Exclusion = EVERYTHING_COUNTS,
+    exclusion: Exclusion,
 ) -> BallPhoto:
     """Prepares a photograph. **Arguments:** `name`: for messages. `picture`: linear.
 

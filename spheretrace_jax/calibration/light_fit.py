@@ -21,7 +21,7 @@ from .ball_radiance import (
 from .highlights import brightest_spot
 from .lambert import lambert_light
 from .light_covariance import Covariance, facing, light_covariance
-from .light_solver import LANES, LightFit, rows_at, solve_lights
+from .light_solver import LANES, LightFit, WeightedRows, solve_lights
 
 Vector = Float[np.ndarray, "3"]
 
@@ -74,21 +74,14 @@ class _Lane(eqx.Module):
     held: Bool[np.ndarray, "6"]
 
 
-def find_light(
-    photo: BallPhoto, known: "FoundLight | None" = None, material: LightFit | None = None
-) -> FoundLight:
+def find_light(photo: BallPhoto) -> FoundLight:
     """Finds the light of a photograph of a ball.
 
     Six starts, from the highlight and from Lambert's law, by one model; then all models from the
     best; then other weights, and the light at infinity, which is preferred where the distance does
     not show.
-
-    **Arguments:** `known`: what was found before, to go on from with a `material`: a fit of a
-    photograph whose highlight and coat are taken as they are.
     """
     samples = photo.samples
-    if known is not None and material is not None:
-        return _choose(photo, samples, _with_material(known.fit, material), [known.fit], True)
     starts = [
         _start(direction, _BECKMANN, exponent)
         for direction in _first_directions(photo)
@@ -100,6 +93,12 @@ def find_light(
     best, other = best_of(fits[: len(LOBES)]), best_of(fits[len(LOBES) :])
     best = other if other.cost < _CLEARLY_BETTER * best.cost else best
     return _choose(photo, samples, best, fits, False)
+
+
+def find_again(photo: BallPhoto, known: FoundLight, material: LightFit) -> FoundLight:
+    """Finds the light of a photograph once more, with another fit's highlight and coat."""
+    fit = _with_material(known.fit, material)
+    return _choose(photo, known.samples, fit, [known.fit], True)
 
 
 def median_material(fits: Sequence[LightFit]) -> LightFit:
@@ -217,9 +216,7 @@ def best_of(fits: Sequence[LightFit]) -> LightFit:
     return min(fits, key=lambda fit: float(fit.cost) if np.isfinite(fit.cost) else np.inf)
 
 
-def unexplained_part(fit: LightFit, samples: BallSamples) -> float:
-    """Returns which part of the rms of weighted values a fit leaves."""
-    rows = rows_at(fit, samples)
-    weights = np.asarray(rows.terms, float)[:, 2]
-    values = np.asarray(samples.values, float) * weights
+def unexplained_part(rows: WeightedRows, samples: BallSamples) -> float:
+    """Returns which part of the rms of weighted values a fit leaves. **Arguments:** its `rows`."""
+    values = np.asarray(samples.values, float) * rows.weights
     return float(np.linalg.norm(rows.residual) / max(np.linalg.norm(values), 1e-300))

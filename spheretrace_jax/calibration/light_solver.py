@@ -64,6 +64,11 @@ class WeightedRows(eqx.Module):
     amplitudes: Float[Array, "3 3"]
     gram: Float[Array, "3 3 3"]  #: products of the terms, per channel
 
+    @property
+    def weights(self) -> Float[np.ndarray, "3 samples"]:
+        """Returns what residuals and terms are multiplied by: the ambient term is 1."""
+        return np.asarray(self.terms, float)[:, 2]
+
 
 @compiled
 def solve_lights(

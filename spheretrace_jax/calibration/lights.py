@@ -17,7 +17,7 @@ from .ball_scene import ball_scene
 from .camera import Intrinsics, Number, intrinsics_of
 from .conic import BallOutline, Ellipse, outline_of_ellipse
 from .highlights import chrome_spots
-from .light_fit import FoundLight, find_light, median_material
+from .light_fit import FoundLight, find_again, find_light, median_material
 from .numbers_check import better_numbers
 from .outline import ball_from_mask, coverage_of
 from .photo_outline import ball_from_photo
@@ -157,24 +157,24 @@ def lights(
         return BallLights(found, [None] * len(found), color, radius)
     exclusion = Exclusion(None if mask is None else yes_or_no(np.asarray(mask)), brightest, darkest)
     photos = [ball_photo(*each, exclusion) for each in zip(names, images, outlines, strict=True)]
-    alone, better = [], []
+    alone, better, found = [], [], []
     for name, photo in zip(names, photos, strict=True):
         alone.append(_named(name, find_light, photo))
         better.append(better_numbers(photo, alone[-1]))
-        tell(light_of_fit(name, photo, alone[-1], color, radius, better[-1]))
+        found.append(light_of_fit(name, photo, alone[-1], color, radius, better[-1]))
+        tell(found[-1])
     if shared and len(photos) > 1:
-        alone = _share(photos, alone)
-    each = zip(names, photos, alone, better, strict=True)
-    found = [light_of_fit(n, p, one, color, radius, words) for n, p, one, words in each]
+        again = zip(names, photos, _shared(photos, alone), better, strict=True)
+        found = [light_of_fit(n, p, one, color, radius, words) for n, p, one, words in again]
     return BallLights(found, photos, color, radius)
 
 
-def _share(photos: Sequence[BallPhoto], alone: Sequence[FoundLight]) -> list[FoundLight]:
+def _shared(photos: Sequence[BallPhoto], alone: Sequence[FoundLight]) -> list[FoundLight]:
     """Finds lights again, with the material that most photographs tell of."""
     material = median_material([one.fit for one in alone])
     found = []
     for photo, one in zip(photos, alone, strict=True):
-        again = find_light(photo, one, material)
+        again = find_again(photo, one, material)
         same = again.fit.cost <= _SAME_MATERIAL * one.fit.cost
         found.append(again if same else one)
     return found

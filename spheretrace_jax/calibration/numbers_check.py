@@ -4,17 +4,15 @@ A picture of linear numbers that was read as sRGB, or the reverse, bends every s
 lights by degrees. (`fit/diagnosis/color_space.py` does the same for scenes.)
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..base.srgb import code_srgb, srgb
+from ..base.srgb import MISREAD
 from .ball_photo import LEVEL_QUANTILE, BallPhoto
 from .ball_radiance import LOBES, BallSamples
 from .light_fit import FoundLight, best_of, lane_from, solve_lanes, unexplained_part
-from .light_solver import LANES, LightFit
+from .light_solver import LANES, LightFit, rows_at
 
 # The part of the rms that is left with other numbers, from which these are the right ones. Of 12
 # photographs by another renderer the right numbers leave at most 0.8 of what others do, mostly 0.3.
@@ -23,11 +21,6 @@ _BETTER = 0.7
 # The part of the rms that is left from which the numbers are looked at: photographs with the right
 # ones leave 0.015 to 0.03, with others 0.05 to 0.08. It takes half as long as the fit.
 _SUSPECT = 0.03
-
-_WORDS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "sRGB-encoded": srgb,
-    "linear, not decoded from sRGB": code_srgb,
-}
 
 
 def better_numbers(photo: BallPhoto, found: FoundLight) -> str | None:
@@ -41,11 +34,11 @@ def better_numbers(photo: BallPhoto, found: FoundLight) -> str | None:
     shown = numbers[counts > 0]
     if shown.max() > 1 or shown.min() < -0.1:
         return None
-    left = unexplained_part(found.fit, samples)
+    left = unexplained_part(rows_at(found.fit, samples), samples)
     if left < _SUSPECT:
         return None
     best, words = _BETTER * left, None
-    for as_what, curve in _WORDS.items():
+    for as_what, curve in MISREAD.items():
         other = curve(np.clip(numbers, 0, 1))
         other = other / np.quantile(other[counts > 0], LEVEL_QUANTILE)
         changed = jnp.asarray(np.where(counts > 0, other, 0), samples.values.dtype)
@@ -60,4 +53,4 @@ def _left(samples: BallSamples, fit: LightFit) -> float:
     falloff = bool(fit.model.falloff)
     lobes = (list(range(len(LOBES))) * 2)[:LANES]
     fits = solve_lanes(samples, [lane_from(fit, lobe, falloff) for lobe in lobes])
-    return unexplained_part(best_of(fits), samples)
+    return unexplained_part(rows_at(best_of(fits), samples), samples)

@@ -21,6 +21,14 @@ def _bar(*columns):
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
+def _counted_bar():
+    """Returns a bar with what is done before it, and how many of how many behind it."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+
+    text = TextColumn("{task.description}")
+    return _bar(text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+
+
 @contextmanager
 def counting(text: str, total: int) -> Iterator[Callable[[str], None]]:
     """Shows a bar of things that are done one after the other.
@@ -28,22 +36,16 @@ def counting(text: str, total: int) -> Iterator[Callable[[str], None]]:
     **Arguments:** `text`: shown until the first is done. **Yields:** a function to call with the
     name of each that is done.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    with _bar(*columns, TimeElapsedColumn()) as bar:
+    with _counted_bar() as bar:
         task = bar.add_task(text, total=total)
         yield lambda name: bar.update(task, advance=1, description=name)
 
 
 def fit_with_progress(scene, target, **settings):
     """Runs `fit` with a bar of its steps. **Arguments, returns:** as for `fit`."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-
     from .. import fit
 
-    text = TextColumn("{task.description}")
-    with _bar(text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()) as bar:
+    with _counted_bar() as bar:
         task = bar.add_task("compiling", total=None)
 
         def show(state) -> None:

@@ -77,10 +77,7 @@ def fit_from_starts(
         if _explained_from(starts, driver, tried, noise_given):
             return tried[-1]
         if tried and not driver.stopped_by and _is_near(min(tried, key=_rank)):
-            started = _from_afar(min(tried, key=_rank))
-            driver.begin(started)
-            tried.append(_fit_from_start(driver, started, noise_given))
-            driver.keep(*tried[-1][:3])
+            _try(_from_afar(min(tried, key=_rank)), driver, tried, noise_given)
         for found in sorted(tried, key=_rank):
             if driver.stopped_by or not _may_jump(found, noise_given):
                 break
@@ -102,9 +99,7 @@ def _explained_from(
 ) -> bool:
     """Adds what starts lead to, up to the first that explains the pictures. **Returns:** if so."""
     for started in starts:
-        driver.begin(started)
-        tried.append(_fit_from_start(driver, started, noise_given))
-        driver.keep(*tried[-1][:3])
+        _try(started, driver, tried, noise_given)
         if driver.stopped_by:
             break
         if tried[-1].explains:
@@ -112,6 +107,13 @@ def _explained_from(
                 tried.append(_past_shadow_edges(driver, tried[-1]))
             return True
     return False
+
+
+def _try(started: Problem, driver: Driver, tried: list[Found], noise_given: bool) -> None:
+    """Adds what one start leads to."""
+    driver.begin(started)
+    tried.append(_fit_from_start(driver, started, noise_given))
+    driver.keep(*tried[-1][:3])
 
 
 def _rank(found: Found) -> float:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.mirror_ball import mirror_picture
 
 import spheretrace_jax as st
-from spheretrace_jax.calibration.ball_pixels import ball_hits, ball_pixels
+from spheretrace_jax.calibration.ball_pixels import ball_pixels
 from spheretrace_jax.calibration.camera import Intrinsics, flip_frame
 from spheretrace_jax.calibration.conic import outline_of_ball
 from spheretrace_jax.calibration.lambert import lambert_light
@@ -168,12 +169,7 @@ def test_scene_shows_the_photograph():
 
 def test_chrome_ball():
     toward = np.array([0.5, -0.3, -0.8]) / np.linalg.norm([0.5, -0.3, -0.8])
-    fine = 4
-    y, x = (np.mgrid[: SIZE[0] * fine, : SIZE[1] * fine] + 0.5) / fine
-    N, V, hit = ball_hits(np.column_stack([x.ravel(), y.ravel()]), OUTLINE)
-    mirrored = 2 * (N * V).sum(1, keepdims=True) * N - V
-    shown = np.where(hit, np.where(mirrored @ toward > np.cos(0.12), 1.0, 0.1), 0)
-    picture = shown.reshape(SIZE[0], fine, SIZE[1], fine).mean((1, 3))
+    picture = mirror_picture(OUTLINE, SIZE, [toward], [0.12], [1.0])
     picture = np.repeat(picture[..., None], 3, axis=2)
     light = st.lights(picture, OUTLINE, chrome=True)[0]
     assert degrees(light.direction, flip_frame(toward)) < max(0.5, light.error)

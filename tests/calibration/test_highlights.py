@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from helpers.mirror_ball import mirror_picture
 
 import spheretrace_jax as st
-from spheretrace_jax.calibration.ball_pixels import ball_hits, ball_pixels
+from spheretrace_jax.calibration.ball_pixels import ball_pixels
 from spheretrace_jax.calibration.camera import Intrinsics
 from spheretrace_jax.calibration.conic import outline_of_ball
 from spheretrace_jax.calibration.highlights import brightest_spot, chrome_spots
@@ -22,17 +23,6 @@ def ball_before(camera):
 
 def unit(*vector):
     return np.array(vector) / np.linalg.norm(vector)
-
-
-def mirror_picture(outline, lights, sizes, brightness, fine=4):
-    """Draws discs of light at infinity, of angular radii `sizes`, mirrored by a ball."""
-    y, x = (np.mgrid[: SIZE[0] * fine, : SIZE[1] * fine] + 0.5) / fine
-    normals, views, hit = ball_hits(np.column_stack([x.ravel(), y.ravel()]), outline)
-    mirrored = 2 * (normals * views).sum(1, keepdims=True) * normals - views
-    picture = np.where(hit, 0.05 + 0.02 * mirrored[:, 0], 0.02)
-    for light, size, bright in zip(lights, sizes, brightness, strict=True):
-        picture = np.where(hit & (mirrored @ light > np.cos(size)), bright, picture)
-    return picture.reshape(SIZE[0], fine, SIZE[1], fine).mean((1, 3))
 
 
 def glossy_picture(outline, light, exponent, highlight="phong"):
@@ -59,7 +49,7 @@ def test_several_lights_on_a_chrome_ball(camera):
     outline = ball_before(camera)
     lights = [unit(0.3, -0.5, -1), unit(-1, 0.2, -0.6), unit(0.8, 0.6, 0.1)]
     sizes, brightness = [0.15, 0.12, 0.2], [20.0, 8.0, 4.0]
-    picture = mirror_picture(outline, lights, sizes, brightness)
+    picture = mirror_picture(outline, SIZE, lights, sizes, brightness)
     picture += 0.002 * np.random.default_rng(0).normal(size=SIZE)
     for clip in (np.inf, 1.0):
         spots = chrome_spots(np.minimum(picture, clip), outline, 2 if clip == np.inf else 3)
@@ -80,7 +70,7 @@ def test_intervals_of_chrome_spots():
     outline, random, inside = ball_before(CAMERAS[1]), np.random.default_rng(1), []
     for _ in range(12):
         light = unit(*random.normal(size=2) * 0.5, -1)
-        picture = np.minimum(mirror_picture(outline, [light], [0.08], [30.0]), 1)
+        picture = np.minimum(mirror_picture(outline, SIZE, [light], [0.08], [30.0]), 1)
         spot = chrome_spots(picture, outline, 1)[0]
         away = spot.direction - light
         assert degrees(spot.direction, light) < 0.6
@@ -92,7 +82,7 @@ def test_intervals_of_chrome_spots():
 def test_the_error_of_the_ball_enters():
     light = unit(0.3, -0.5, -1)
     outline = ball_before(CAMERAS[0])
-    picture = np.minimum(mirror_picture(outline, [light], [0.1], [30.0]), 1)
+    picture = np.minimum(mirror_picture(outline, SIZE, [light], [0.1], [30.0]), 1)
     unsure = type(outline)(outline.center, outline.radius, 0.25 * np.eye(3), outline.intrinsics)
     exact, wide = (chrome_spots(picture, o, 1)[0] for o in (outline, unsure))
     # half a pixel of 50 turns the normal by 0.01 and more, the mirror direction by twice that
@@ -129,7 +119,7 @@ def test_pictures_without_spots():
     outline = ball_before(CAMERAS[0])
     with pytest.raises(st.InputError, match="the ball shows no spot"):
         brightest_spot(np.zeros(SIZE), outline)
-    picture = mirror_picture(outline, [unit(0.3, -0.5, -1)], [0.1], [30.0])
+    picture = mirror_picture(outline, SIZE, [unit(0.3, -0.5, -1)], [0.1], [30.0])
     with pytest.raises(st.InputError, match="expected 3 bright spots on the ball, found 1"):
         chrome_spots(picture, outline, 3)
     outside = outline_of_ball((900.0, 0.0, 0.0), 20.0, CAMERAS[0])

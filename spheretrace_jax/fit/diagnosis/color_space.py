@@ -5,14 +5,12 @@ and materials straighten it. On a sample of pixels lights are searched again, wi
 that suit them best (`variable_projection.py`), for the numbers as they are, decoded and coded.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from ...base.srgb import code_srgb, srgb
+from ...base.srgb import MISREAD
 from ..problem.problem import Problem
 from ..solver.light_search import free_places, is_separable, light_constraints
 from ..solver.variable_projection import SampledPixels, best_residual, refine_lights, sample_pixels
@@ -20,11 +18,6 @@ from ..solver.variable_projection import SampledPixels, best_residual, refine_li
 # The part of the residual's mean square that is left with other numbers, from which these are the
 # right ones. Nearer to 1 other faults of a model are taken for those of the numbers.
 _BETTER = 0.5
-
-_WORDS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "sRGB-encoded": srgb,
-    "linear, not decoded from sRGB": code_srgb,
-}
 
 
 def better_numbers(problem: Problem, values: PyTree) -> str | None:
@@ -34,7 +27,7 @@ def better_numbers(problem: Problem, values: PyTree) -> str | None:
     """
     if not is_separable(problem):
         return None
-    left = dict.fromkeys(("", *_WORDS), 0.0)
+    left = dict.fromkeys(("", *MISREAD), 0.0)
     for k, (scene, _) in enumerate(problem.scenes_at(values)):
         parameters, target = problem.parameters[k].starting_at(scene), problem.targets[k]
         image = np.asarray(target.image)
@@ -48,7 +41,7 @@ def better_numbers(problem: Problem, values: PyTree) -> str | None:
         sample = eqx.tree_at(places, sample, anything)
         for words in left:
             numbers = np.asarray(sample.image, np.float64)
-            numbers = _WORDS[words](numbers) if words else numbers
+            numbers = MISREAD[words](numbers) if words else numbers
             changed = jnp.asarray(numbers, sample.image.dtype)
             changed = eqx.tree_at(lambda s: s.image, sample, changed)
             lights, free = scene.lights.position, free_places(parameters)

@@ -4,11 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...scene.parameters import LIGHT_PLACES, rows_of
+from ...scene.parameters import LIGHT_PLACES
 from ..model.products import PRODUCTS
-from ..problem.labels import picture_suffix
+from ..problem.labels import free_lights
 from ..problem.problem import Problem
-from ..solver.light_search import free_places
 from .uncertainty import Uncertainty
 
 # The standard deviation of a distance, as a part of it, from which it says nothing.
@@ -21,19 +20,15 @@ def effects(problem: Problem, uncertainty: Uncertainty) -> tuple[str, ...]:
 
 
 def _of_lights(problem: Problem, uncertainty: Uncertainty) -> Iterator[str]:
-    for name in free_places(problem.parameters[0]):
-        apart = name in problem.per_picture
-        for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
-            suffix = picture_suffix(k) if apart else ""
-            free = parameters.free_numbers(name).any(axis=1) & rows_of(parameters.scene, name)
-            for i in np.flatnonzero(free).tolist():
-                angle, distance = uncertainty.of_light(k, i)
-                if not np.isfinite(angle):
-                    continue
-                words = f"light {i + 1}'s direction{suffix} by {np.degrees(angle):.2g} degrees"
-                if 0 < distance < _UNKNOWN:
-                    words += f", its distance by {distance:.2g} of it"
-                yield words
+    for name in LIGHT_PLACES:
+        for k, i, suffix in free_lights(problem, name):
+            angle, distance = uncertainty.of_light(k, i)
+            if not np.isfinite(angle):
+                continue
+            words = f"light {i + 1}'s direction{suffix} by {np.degrees(angle):.2g} degrees"
+            if 0 < distance < _UNKNOWN:
+                words += f", its distance by {distance:.2g} of it"
+            yield words
 
 
 def _of_others(problem: Problem, uncertainty: Uncertainty) -> Iterator[str]:

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..problem.labels import labels_of, picture_suffix
+from ..problem.labels import free_lights, labels_of
 from .uncertainty import Uncertainty
 
 # The standard deviation from which an unknown is as good as not determined: half of its range.
@@ -83,19 +83,13 @@ def _weak(uncertainty: Uncertainty) -> list[str]:
         for label in dict.fromkeys(labels_of(problem)[weak])
         if "position" not in label
     ]
-    if "light_position" not in problem.parameters[0].free:
-        return sentences
-    apart = "light_position" in problem.per_picture
-    for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
-        suffix = picture_suffix(k) if apart else ""
-        free = parameters.free_numbers("light_position").any(axis=1)
-        for i in np.flatnonzero(free).tolist():
-            angle, _ = uncertainty.of_light(k, i)
-            distance = uncertainty.light_distance(i, k)
-            if angle <= _WEAK and distance.infinite:
-                sentences.append(f"light {i + 1}{suffix}{_at_infinity(distance.least, angle)}")
-            elif _WEAK < angle < np.inf:
-                sentences.append(f"light {i + 1}'s position{suffix} is lost in the noise")
+    for k, i, suffix in free_lights(problem, "light_position"):
+        angle, _ = uncertainty.of_light(k, i)
+        distance = uncertainty.light_distance(i, k)
+        if angle <= _WEAK and distance.infinite:
+            sentences.append(f"light {i + 1}{suffix}{_at_infinity(distance.least, angle)}")
+        elif _WEAK < angle < np.inf:
+            sentences.append(f"light {i + 1}'s position{suffix} is lost in the noise")
     return sentences
 
 

@@ -1,7 +1,10 @@
 """Labels of a fit's unknowns: their names in words, and their indices."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from ...scene.parameters import rows_of
 from ..model.accessors import LIGHTS, SPHERES
 from .problem import Problem
 
@@ -41,6 +44,21 @@ def _label(name: str, places: list[tuple[int, ...]]) -> str:
 def picture_suffix(picture: int) -> str:
     """Returns words for the number of a picture, counted from 1."""
     return f" of picture {picture + 1}"
+
+
+def free_lights(problem: Problem, name: str) -> Iterator[tuple[int, int, str]]:
+    """Yields the lights whose place is free: picture, light, and words for the picture.
+
+    **Arguments:** `name`: one of `LIGHT_PLACES`, which only lights of its kind have. Lights that
+    all pictures share count once, as of picture 0.
+    """
+    if name not in problem.parameters[0].free:
+        return
+    apart = name in problem.per_picture
+    for k, parameters in enumerate(problem.parameters if apart else problem.parameters[:1]):
+        free = parameters.free_numbers(name).any(axis=1) & rows_of(parameters.scene, name)
+        for i in np.flatnonzero(free).tolist():
+            yield k, i, picture_suffix(k) if apart else ""
 
 
 def unknown_indices(problem: Problem) -> dict[str, list[np.ndarray]]:
