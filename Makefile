@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow study extremes bench bench-edges bench-fit bench-lights lint references clean
+.PHONY: demo test test-slow study extremes bench bench-edges bench-fit bench-lights lint dist references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
@@ -48,6 +48,15 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
+# wheel and sdist, checked, and the wheel tried in an empty environment
+dist: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[dist]'
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/cffconvert --validate
+	$(BIN)/python tests/dist/try_wheel.py dist
+
 # needs POV-Ray 3.7 (Debian: povray)
 references: $(READY)
 	$(BIN)/python -W ignore data/references/make_references.py
@@ -60,4 +69,4 @@ $(READY): pyproject.toml
 	touch $@
 
 clean:
-	rm -rf $(VENV) spheretrace_demo
+	rm -rf $(VENV) spheretrace_demo dist

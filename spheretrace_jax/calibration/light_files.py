@@ -17,7 +17,7 @@ from ..base.errors import InputError, printable
 from ..files.atomic import write_text
 
 Rows = Float[np.ndarray, "lights 3"]
-Path_ = str | os.PathLike
+Path_ = str | os.PathLike[str]
 
 Record = Mapping[str, "str | float | int | Sequence[float] | np.ndarray"]
 """A light: values by the name of their field. A field with several numbers has several columns."""

@@ -16,7 +16,7 @@ from .report import new_figure, save_figure
 _MARKERS = "os^vD<>pPX*"
 
 
-def write_study(folder: str | os.PathLike, study: Study) -> list[Path]:
+def write_study(folder: str | os.PathLike[str], study: Study) -> list[Path]:
     """Writes `study.md`, `points.csv` and each diagram as PNG and SVG; makes the folder.
 
     **Returns:** the files written.

@@ -69,7 +69,7 @@ def _numbers(value: np.ndarray | np.floating) -> str:
 
 
 def write_report(
-    folder: str | os.PathLike,
+    folder: str | os.PathLike[str],
     fit: Fit,
     start: Scene,
     target: np.ndarray,

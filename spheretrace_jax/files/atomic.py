@@ -8,7 +8,7 @@ from uuid import uuid4
 
 
 @contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yields a temporary file in the folder of `path`, which replaces `path` on success.
 
     The temporary file has the ending of `path`.
@@ -31,7 +31,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def check_target(path: str | os.PathLike) -> None:
+def check_target(path: str | os.PathLike[str]) -> None:
     """Checks early that a file can be written to `path`, before its content is computed.
 
     **Raises:** `OSError` for missing and write-protected folders, and for folders, devices and
@@ -59,7 +59,7 @@ def reserve(file: Path, size: int) -> None:
             os.posix_fallocate(opened.fileno(), 0, size)
 
 
-def write_text(path: str | os.PathLike, text: str) -> None:
+def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes a text file atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -32,6 +32,6 @@ EXPORT_FORMATS = {
 }
 
 
-def read_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
+def read_scene(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
     """Reads a scene file of any format. **Arguments, raises:** as `load_scene`."""
     return READERS.get(Path(path).suffix.lower(), load_scene)(path, dtype)

@@ -40,7 +40,7 @@ _BLACK, _WHITE, _COUNTS = 0.1, 0.9, 0.5
 
 
 def read_image(
-    path: str | os.PathLike, colorspace: Colorspace = "auto", *, layer: str | None = None
+    path: str | os.PathLike[str], colorspace: Colorspace = "auto", *, layer: str | None = None
 ) -> Float[np.ndarray, "height width 3"]:
     """Reads a picture as linear Rec. 709 RGB in float32, upright, row 0 at the top.
 
@@ -77,7 +77,7 @@ def read_image(
     return image.color
 
 
-def read_texture(path: str | os.PathLike) -> Float[np.ndarray, "height width 3"]:
+def read_texture(path: str | os.PathLike[str]) -> Float[np.ndarray, "height width 3"]:
     """Reads the bitmap of a texture or a sky. **Warns, raises:** as `read_image`."""
     image = read_file(Path(path))
     _warn([*image.remarks, *_transparency(Path(path), image)])
@@ -103,7 +103,7 @@ def _saturation(path: Path, image: ImageData) -> list[str]:
 
 
 def read_mask(
-    path: str | os.PathLike, *, alpha: bool = False, layer: str | None = None
+    path: str | os.PathLike[str], *, alpha: bool = False, layer: str | None = None
 ) -> Bool[np.ndarray, "height width"]:
     """Reads which pixels count in a fit: those of at least half the brightness of white.
 
@@ -154,7 +154,7 @@ def _check_colorspace(colorspace: Colorspace) -> None:
 
 
 def write_image(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     image: ArrayLike,
     *,
     colorspace: Colorspace = "auto",
@@ -235,7 +235,9 @@ def write_image(
         )
 
 
-def check_writable(path: str | os.PathLike, bits: int | None = None) -> tuple[PictureFormat, str]:
+def check_writable(
+    path: str | os.PathLike[str], bits: int | None = None
+) -> tuple[PictureFormat, str]:
     """Checks early that `write_image` can write a file, before a picture is computed.
 
     **Returns:** the file's format, and OpenImageIO's name of the number type.

@@ -56,12 +56,12 @@ _WRAPPED = """
 
 
 def write_povray(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     scene: Scene,
     *,
     highlight: Highlight = "phong",
     bounces: int = 5,
-    scene_path: str | os.PathLike | None = None,
+    scene_path: str | os.PathLike[str] | None = None,
 ) -> None:
     """Writes a scene for POV-Ray 3.7 atomically; see `povray_text`.
 

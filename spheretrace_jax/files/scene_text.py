@@ -57,7 +57,7 @@ from .scene_reader import SceneReader
 from .tokens import Token, Tokens, decode
 
 
-def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
+def load_scene(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
     """Reads a scene file; see `spheretrace_jax.files.scene_text` for its grammar.
 
     **Arguments:** `dtype`: float32 or float64, by default JAX's default floating dtype.
@@ -74,7 +74,7 @@ def load_scene(path: str | os.PathLike, dtype: Any = None) -> Scene:
 
 
 def parse_scene(
-    data: bytes, name: str, folder: str | os.PathLike = ".", dtype: Any = None
+    data: bytes, name: str, folder: str | os.PathLike[str] = ".", dtype: Any = None
 ) -> Scene:
     """Reads the content of a scene file.
 

@@ -16,7 +16,7 @@ from .scene_reader import DEFAULT_WINDOW, SPHERE_COLUMNS
 from .scene_text import check_text
 
 
-def save_scene(path: str | os.PathLike, scene: Scene) -> None:
+def save_scene(path: str | os.PathLike[str], scene: Scene) -> None:
     """Writes a scene file atomically; reading the file in the same dtype gives the same scene.
 
     (Only the checker colour of a plane without squares, which no picture shows, is lost.)
@@ -28,7 +28,7 @@ def save_scene(path: str | os.PathLike, scene: Scene) -> None:
     write_text(path, checked_text(scene, os.fspath(path), Path(path).parent))
 
 
-def checked_text(scene: Scene, name: str, folder: str | os.PathLike = ".") -> str:
+def checked_text(scene: Scene, name: str, folder: str | os.PathLike[str] = ".") -> str:
     """Returns the text that `save_scene` writes. **Arguments, raises:** as `parse_scene`."""
     scene = known_scene(scene)
     text = scene_text(scene, folder)
@@ -39,7 +39,7 @@ def checked_text(scene: Scene, name: str, folder: str | os.PathLike = ".") -> st
     return text
 
 
-def scene_text(scene: Scene, folder: str | os.PathLike = ".") -> str:
+def scene_text(scene: Scene, folder: str | os.PathLike[str] = ".") -> str:
     """Returns the text of a scene file in `folder`, with the shortest numbers that read exactly."""
     s, c, planes = scene.spheres, scene.camera, scene.planes
     lines = [
@@ -85,7 +85,7 @@ def _words(*values: Any) -> str:
     return " ".join(str(x) for value in values for x in np.asarray(value).reshape(-1))
 
 
-def _file_name(texture: Texture, folder: str | os.PathLike) -> str:
+def _file_name(texture: Texture, folder: str | os.PathLike[str]) -> str:
     """Returns a texture's file name relative to a folder, quoted if it has spaces."""
     if not texture.file:
         raise SceneError("a texture is in no file: write it with write_image and name that file")

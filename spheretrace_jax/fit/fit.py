@@ -174,7 +174,9 @@ def fit(
     start: Start = "scene",
     gauge: Gauge = "ka",
     jacobian: Literal["structured", "dense"] = "structured",
-    solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any]
+    | optx.AbstractMinimiser[Any, Any, Any]
+    | None = None,
     max_steps: int = 300,
     rtol: float | None = None,
     atol: float | None = None,
