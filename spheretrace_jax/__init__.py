@@ -10,6 +10,7 @@ from .base.errors import (
 from .calibration.lights import BallLights as BallLights, lights as lights
 from .calibration.outline import ball_from_mask as ball_from_mask
 from .calibration.photo_outline import ball_from_photo as ball_from_photo
+from .display.progress import show_progress as show_progress
 from .files.images import (
     read_image as read_image,
     read_mask as read_mask,
@@ -41,3 +42,5 @@ from .study.checks.stability import (
 from .study.study import Study as Study, study as study
 
 __version__ = "0.1.0"
+
+show_progress()  # where the session is interactive

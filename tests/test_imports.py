@@ -18,13 +18,15 @@ FILES = {
 #: Of a folder the order of its entries: an entry imports only from itself and from those before it.
 ORDER = {
     PACKAGE: "base < xla < scene < acceleration < tracing < antialiasing < rendering"
-    " < files < fit < study < calibration < cli",
+    " < files < fit < study < calibration < display < cli",
     f"{PACKAGE}.fit": "model < normal_equations < problem < solver < diagnosis"
-    " < multistart, solution < fit",
+    " < multistart, solution < result < fit",
     f"{PACKAGE}.study": "checks < benchmarks < study",
 }
 #: Folders that only compute, without files, plots and command line: the core, fit and study.
 COMPUTE = "base xla scene acceleration tracing antialiasing rendering fit study".split()
+#: Modules whose classes have methods that show something: these import `display` when called.
+SHOWING = [f"{PACKAGE}.fit.result"]
 HOST_LIBRARIES = {"OpenImageIO", "matplotlib", "rich", "tyro"}
 
 
@@ -34,7 +36,7 @@ def tree(module: str) -> ast.Module:
 
 
 def imports(module: str, *, when_loaded: bool = False) -> set[str]:
-    """Returns the full names of the modules that a module imports.
+    """Returns the full names of the modules that a module imports, but for methods that show.
 
     **Arguments:** `when_loaded`: leave out imports inside functions, which run when called.
     """
@@ -49,7 +51,15 @@ def imports(module: str, *, when_loaded: bool = False) -> set[str]:
             for alias in node.names:
                 inner = f"{source}.{alias.name}"
                 found.add(inner if inner in FILES else source)
+    if module in SHOWING and not when_loaded:
+        found = {name for name in found if entry(name, PACKAGE) != "display"}
     return found
+
+
+def test_showing_modules_load_no_display():
+    for module in SHOWING:
+        loaded = imports(module, when_loaded=True)
+        assert not [name for name in loaded if entry(name, PACKAGE) == "display"]
 
 
 def nodes(node: ast.AST, when_loaded: bool):

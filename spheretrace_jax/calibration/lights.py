@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Num, Shaped
 
 from ..base.errors import InputError, PictureWarning
+from ..base.progress import working
 from ..fit.model.picture_numbers import linear_numbers, yes_or_no
 from ..scene.scene import Scene
 from .ball_light import BallLight, light_of_fit, light_of_spot
@@ -100,7 +101,6 @@ def lights(
     chrome: bool = False,
     count: int | None = None,
     shared: bool = False,
-    callback: Callable[[BallLight], Any] | None = None,
 ) -> BallLights:
     """Finds the light of each photograph of a ball: direction, distance, colour and their errors.
 
@@ -126,7 +126,6 @@ def lights(
     - `shared`: whether all pictures show the ball with one material, the median of what each of
       them tells; pictures that it does not suit keep their own. It narrows the errors, to a half in
       12 pictures of one ball; the mean error was 0.15 degrees without and 0.18 with it.
-    - `callback`: called with each light when it is found, before materials are shared.
 
     **Returns:** a `BallLight` for each.
 
@@ -145,24 +144,21 @@ def lights(
     if not radius > 0:
         raise InputError(f"radius: expected a length above 0, got {radius}")
     outlines = _outlines(images, ball, focal, principal_point, names)
-    tell = callback or (lambda light: None)
     if chrome:
         found = []
         for name, image, outline in zip(names, images, outlines, strict=True):
             spots = _named(name, partial(chrome_spots, level=brightest), image, outline, count)
-            of_one = [light_of_spot(name, spot, outline, radius) for spot in spots]
-            for light in of_one:
-                tell(light)
-            found += of_one
+            found += [light_of_spot(name, spot, outline, radius) for spot in spots]
         return BallLights(found, [None] * len(found), color, radius)
     exclusion = Exclusion(None if mask is None else yes_or_no(np.asarray(mask)), brightest, darkest)
     photos = [ball_photo(*each, exclusion) for each in zip(names, images, outlines, strict=True)]
     alone, better, found = [], [], []
-    for name, photo in zip(names, photos, strict=True):
-        alone.append(_named(name, find_light, photo))
-        better.append(better_numbers(photo, alone[-1]))
-        found.append(light_of_fit(name, photo, alone[-1], color, radius, better[-1]))
-        tell(found[-1])
+    with working("finding lights", len(photos)) as step:
+        for name, photo in zip(names, photos, strict=True):
+            alone.append(_named(name, find_light, photo))
+            better.append(better_numbers(photo, alone[-1]))
+            found.append(light_of_fit(name, photo, alone[-1], color, radius, better[-1]))
+            step(name)
     if shared and len(photos) > 1:
         again = zip(names, photos, _shared(photos, alone), better, strict=True)
         found = [light_of_fit(n, p, one, color, radius, words) for n, p, one, words in again]

@@ -1,1 +1,1 @@
-"""The command line `spheretrace`: commands, reports and progress."""
+"""The command line `spheretrace`: commands and their output."""

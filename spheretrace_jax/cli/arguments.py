@@ -173,6 +173,18 @@ def pairs_in(option: str, text: str | None, between: str) -> dict[str, tuple[flo
     return found
 
 
+def check_report(report: Path | None) -> None:
+    """Checks early that a report can be written: a page, or a folder. **Raises:** `InputError`."""
+    from ..files.atomic import check_target
+
+    if report is not None and report.suffix == ".html":
+        check_target(report)
+    elif report is not None and report.suffix:
+        raise InputError(f"{report}: expected a name that ends in .html, or a folder")
+    else:
+        check_folder(report)
+
+
 def check_folder(folder: Path | None) -> None:
     """Checks early that a folder can be written to, or made. **Raises:** `InputError`."""
     if folder is None:

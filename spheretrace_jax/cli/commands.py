@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from ..base.errors import InputError
+from ..base.progress import working
 from ..base.types import Colorspace
-from . import progress
 from .arguments import (
     Command,
     Compiling,
@@ -22,6 +22,7 @@ from .arguments import (
     Sized,
     Tracing,
     check_folder,
+    check_report,
     names_in,
 )
 from .cache import CacheCommand
@@ -80,7 +81,7 @@ class RenderCommand(Sampling, Sized, Compiling):
                 check_layer_format(file)
             scene = read_scene(self.scene, self.dtype)
             start = time.perf_counter()
-            with progress.busy(f"rendering {shown}"):
+            with working(f"rendering {shown}"):
                 picture = render(scene, **size, **self.settings).block_until_ready()
                 layers = render_layers(scene, **size, samples=self.samples) if self.layers else None
             seconds = time.perf_counter() - start
@@ -112,15 +113,28 @@ class CheckCommand(Sampling, Sized, Compiling):
     second: Annotated[
         bool, FlagCreatePairsOff, arg(help="compare second derivatives too, which compile for long")
     ] = False
+    report: Annotated[
+        Path | None, arg(metavar="FILE.html", help="write the results to a page, too")
+    ] = None
 
     def run(self) -> int:
-        """Checks the scene and prints the results."""
-        from .check import check
+        """Checks the scene, prints the results and writes the page."""
+        from ..display.check_report import check_page
+        from ..files.atomic import write_text
+        from .check import check, print_sections
 
         size = self.width_height
+        if self.report is not None and self.report.suffix != ".html":
+            raise InputError(f"{self.report}: expected a name that ends in .html")
+        check_report(self.report)
         scene = read_scene(self.scene, "float64")
         free = None if self.free is None else names_in(self.free)
-        return 0 if check(scene, free, self.second, **size, **self.settings) else 1
+        found = check(scene, free, self.second, **size, **self.settings)
+        print_sections(found)
+        if self.report is not None:
+            write_text(self.report, check_page(f"Check of {self.scene}", found))
+            print(f"wrote {self.report}")
+        return 0 if all(section.ok for section in found) else 1
 
 
 @dataclass(kw_only=True)
@@ -147,12 +161,13 @@ class StudyCommand(Compiling):
 
     def run(self) -> int:
         """Measures, and writes the page and its figures."""
-        from .diagrams import write_study
+        from .. import study
+        from ..display.study_report import write_study
 
         check_folder(self.report)
         scene = read_scene(self.scene, "float64")
         bounces = {} if self.bounces is None else dict(bounces=self.bounces)
-        measured = progress.study_with_progress(
+        measured = study(
             scene, parts=names_in(self.parts), quick=self.quick, highlight=self.highlight,
             seed=self.seed, **bounces,
         )  # fmt: skip
@@ -173,7 +188,7 @@ class InfoCommand(Command):
 
         scene = read_scene(self.scene)
         print_scene(self.scene, scene)
-        with progress.busy("counting operations"):
+        with working("counting operations"):
             costs = feature_costs(scene)
         print_needs(scene, costs)
         return 0

@@ -8,8 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from ..base.errors import InputError
-from ..fit.fit import DEFAULT_FREE
-from . import progress
+from ..base.progress import working
 from .arguments import Compiling, Dtype, check_folder
 
 
@@ -27,26 +26,23 @@ class DemoCommand(Compiling):
 
     def run(self) -> int:
         """Fits, writes the scene, its picture and a report, and prints the errors."""
-        from .. import load_scene, read_image, render, save_scene, write_image
+        from .. import fit, load_scene, read_image, render, save_scene, write_image
         from ..study.benchmarks.wrong_start import wrong_start
 
         check_folder(self.output)
         data = data_folder()
         # the target's pixels are the means of 2 x 2 single rays, and so are those of the fit
         truth = load_scene(data / "nine_spheres.txt", self.dtype).with_antialias(0)
-        settings = dict(samples=2)
         target = read_image(data / "nine_spheres.png")
         start = wrong_start(truth)
-        result = progress.fit_with_progress(start, target, **settings)
+        result = fit(start, target, samples=2)
         self.output.mkdir(parents=True, exist_ok=True)
         smooth = result.scene.with_antialias(1)
         files = [self.output / "fitted.txt", self.output / "fitted.png"]
         save_scene(files[0], smooth)
-        with progress.busy("rendering the fitted scene"):
+        with working("rendering the fitted scene"):
             write_image(files[1], render(smooth))
-        files += progress.report_with_progress(
-            self.output, result, start, target, DEFAULT_FREE, settings
-        )
+        files += result.report(self.output)
         print(f"the fit {result.trust.verdict}")
         print("largest error against the file that POV-Ray rendered:")
         _print_errors(result.scene, start, truth)

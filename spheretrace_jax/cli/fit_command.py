@@ -9,19 +9,18 @@ from tyro.conf import Positional, arg
 
 from ..base.errors import InputError, PictureWarning
 from ..base.types import Colorspace
-from ..fit.fit import TOLERANCE
 from ..fit.model.accessors import NAMES
 from ..fit.model.target import PHOTO, Loss
+from ..fit.result import TOLERANCE
 from ..fit.solver.gauge import Gauge
 from ..fit.solver.light_search import Start
-from . import progress
 from .arguments import (
     Compiling,
     Dtype,
     Sampling,
     SceneFile,
     channels_in,
-    check_folder,
+    check_report,
     objects_in,
     pairs_in,
 )
@@ -114,15 +113,15 @@ class FitCommand(Sampling, Compiling):
     ] = TOLERANCE
     max_steps: Annotated[int, arg(metavar="N", help="give up after so many steps in all")] = 300
     report: Annotated[
-        Path | None, arg(metavar="DIR", help="a folder for pictures, cost curve and a table")
+        Path | None,
+        arg(metavar="DIR|FILE.html", help="a folder for a page, pictures and a table; or one page"),
     ] = None
 
     def run(self) -> int:
         """Fits the scene, and writes it and the report."""
-        from .. import read_image, save_scene
+        from .. import fit, read_image, save_scene
         from ..files.atomic import check_target
         from ..files.scene_writer import checked_text
-        from ..fit.model.target import mean_of_boxes
 
         free, tie = (objects_in(f"--{n}", getattr(self, n) or "") for n in ("free", "tie"))
         free = None if self.free is None else free
@@ -133,7 +132,7 @@ class FitCommand(Sampling, Compiling):
         check_one_reader(self.scene, self.target)
         if self.output != STANDARD:
             check_target(self.output)
-        check_folder(self.report)
+        check_report(self.report)
         scene = read_scene(self.scene, self.dtype)
         for option, given in (("--free", free or {}), ("--tie", tie)):
             _check_objects(option, given, scene)
@@ -143,7 +142,7 @@ class FitCommand(Sampling, Compiling):
                     warnings.filterwarnings("ignore", ".* are transparent", PictureWarning)
                 target = read_image(file, self.colorspace, layer=self.layer)
             mask = self._mask(file)
-        result = progress.fit_with_progress(
+        result = fit(
             scene, target, free=free, tie=tie, bounds=bounds, priors=priors,
             max_steps=self.max_steps, mask=mask, darkest=self.darkest,
             brightest=brightest, noise=noise, loss=self.loss, shrink=self.shrink,
@@ -155,10 +154,7 @@ class FitCommand(Sampling, Compiling):
             save_scene(self.output, result.scene)
         say(self.output, f"{self.output}: {result.trust}")
         if self.report is not None:
-            shown = mean_of_boxes(target, self.shrink)
-            for file in progress.report_with_progress(
-                self.report, result, scene, shown, result.problem.parameters[0].free, self.settings
-            ):
+            for file in result.report(self.report):
                 say(self.output, file)
         return 130 if result.interrupted else 0 if result.trust.ok else 1
 

@@ -9,7 +9,6 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 
 from ..base.errors import InputError
 from ..base.types import Colorspace
-from . import progress
 from .arguments import Compiling, channels_in, check_folder
 
 _ENDINGS = (".csv", ".lp", ".txt")
@@ -90,23 +89,21 @@ class LightsCommand(Compiling):
         colorspace: Colorspace = "linear" if self.linear else "srgb" if self.srgb else "auto"
         pictures = [read_image(photo, colorspace) for photo in self.photos]
         albedo = channels_in("--albedo", self.albedo)
-        with progress.counting("compiling, about 5 s", len(pictures)) as step:
-            found = lights(
-                [np.asarray(picture, float) for picture in pictures],
-                self._ball(),
-                focal=np.inf if self.focal is None else self.focal,
-                principal_point=self._point(),
-                names=names,
-                mask=None if self.mask is None else np.asarray(read_mask(self.mask)),
-                brightest=self.brightest,
-                darkest=self.darkest,
-                albedo=(1.0, 1.0, 1.0) if albedo is None else np.broadcast_to(albedo, 3),
-                radius=self.radius,
-                chrome=self.chrome,
-                count=self.count,
-                shared=self.shared,
-                callback=lambda light: step(light.name),
-            )
+        found = lights(
+            [np.asarray(picture, float) for picture in pictures],
+            self._ball(),
+            focal=np.inf if self.focal is None else self.focal,
+            principal_point=self._point(),
+            names=names,
+            mask=None if self.mask is None else np.asarray(read_mask(self.mask)),
+            brightest=self.brightest,
+            darkest=self.darkest,
+            albedo=(1.0, 1.0, 1.0) if albedo is None else np.broadcast_to(albedo, 3),
+            radius=self.radius,
+            chrome=self.chrome,
+            count=self.count,
+            shared=self.shared,
+        )
         print(found)
         self._write(found)
         return int(any(light.grade == "not to be used" for light in found))
@@ -169,10 +166,9 @@ class LightsCommand(Compiling):
             light_files.write_rows(self.intensities, np.stack([light.color for light in found]))
             print(f"wrote {self.intensities}")
         if self.page is not None:
-            from .lights_page import write_page
+            from ..display.lights_page import write_page
 
-            with progress.counting("drawing", len(found)) as step:
-                write_page(self.page, found, step)
+            write_page(self.page, found)
             print(f"wrote {self.page}")
         if self.scenes is not None:
             from .. import save_scene

@@ -1,4 +1,5 @@
 """Fits: scene parameters from pictures."""
 
-from .fit import Fit as Fit, fit as fit
+from .fit import fit as fit
+from .result import Fit as Fit
 from .solver.driver import Progress as Progress

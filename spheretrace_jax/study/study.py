@@ -11,6 +11,7 @@ from typing import Any
 import jax
 
 from ..base.errors import InputError
+from ..base.progress import working
 from ..scene.scene import Scene, check_scene
 from .benchmarks.derivatives import derivatives
 from .benchmarks.fits import fits
@@ -42,7 +43,6 @@ def study(
     *,
     parts: Sequence[str] = tuple(PARTS),
     quick: bool = False,
-    say: Callable[[str, str], Any] = lambda part, text: None,
     **changes: Any,
 ) -> Study:
     """Measures error against run time on a scene: work-precision diagrams.
@@ -51,10 +51,10 @@ def study(
     uncertainty. Each curve names its precision. Times do not include compilation.
 
     **Arguments:** `scene`: of concrete numbers. `parts`: among picture, derivative, fit and scale.
-    `quick`: about a minute instead of ten, without bounces. `say`: called with the part and the
-    next step of the part. `changes`: fields of `Settings`, such as `bounces` or `size`.
+    `quick`: about a minute instead of ten, without bounces. `changes`: fields of `Settings`, as
+    `bounces` or `size`.
 
-    **Returns:** a `Study`, which `spheretrace_jax.cli.diagrams.write_study` draws.
+    **Returns:** a `Study`, which `spheretrace_jax.display.study_report.write_study` draws.
 
     **Raises:** `InputError` for unknown parts.
     """
@@ -65,9 +65,9 @@ def study(
         raise InputError(f"parts of a study must be among {', '.join(PARTS)}, got {got}")
     settings = dataclasses.replace(QUICK if quick else Settings(), **changes)
     diagrams: list[Diagram] = []
-    with jax.enable_x64(True):
-        for part in parts:
-            of_part = dataclasses.replace(settings, say=partial(say, part))
+    with jax.enable_x64(True), working("studying", len(parts)) as step:
+        for k, part in enumerate(parts):
+            of_part = dataclasses.replace(settings, say=partial(step, done=k))
             diagrams += PARTS[part](scene, of_part)
     return Study(tuple(diagrams), machine(), settings)
 

@@ -183,7 +183,7 @@ def read_only_folder() -> str:
     with (
         workplace() as folder,
         patch.object(st, "render", side_effect=computed),
-        patch("spheretrace_jax.cli.progress.fit_with_progress", side_effect=computed),
+        patch.object(st, "fit", side_effect=computed),
     ):
         spheretrace("fit", "--help")  # root's libraries are loaded
         Path("open").mkdir()

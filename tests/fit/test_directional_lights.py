@@ -8,7 +8,7 @@ import pytest
 from helpers.scenes import SCENES, TABLE
 
 import spheretrace_jax as st
-from spheretrace_jax.cli.report import parameter_table
+from spheretrace_jax.display.parameter_rows import parameter_rows
 from spheretrace_jax.fit.diagnosis.uncertainty import estimate
 from spheretrace_jax.fit.model.accessors import default_free, with_values
 from spheretrace_jax.fit.model.constraints import make_constraints
@@ -204,13 +204,9 @@ def test_a_far_light_is_at_infinity():
     )
     for text in (str(found), str(found.trust)):
         assert sentence in text and "directional light, the simpler model" in text
-    (row,) = [
-        line
-        for line in parameter_table(truth, found, ("light_position",)).splitlines()
-        if "light_position" in line
-    ]
-    assert f"at infinity (at least {known.least:.3g}, 95 %), toward 0." in row
-    assert row.count("|") == 6 and "degrees" in row
+    (row,) = [row for row in parameter_rows(found) if row.name == "light_position"]
+    assert row.after.startswith(f"at infinity (at least {known.least:.3g}, 95 %), toward 0.")
+    assert row.spread.endswith("degrees")
 
 
 def test_a_near_light_has_a_distance():

@@ -13,7 +13,7 @@ from helpers.derivatives import off
 from helpers.scenes import three_apart, three_spheres
 
 import spheretrace_jax as st
-from spheretrace_jax.cli.diagrams import write_study
+from spheretrace_jax.display.study_report import write_study
 from spheretrace_jax.scene.settings import render_settings
 from spheretrace_jax.study.benchmarks.captions import caption
 from spheretrace_jax.study.benchmarks.fits import displaced, solvers

@@ -1,7 +1,7 @@
 """Trust: whether a fit converged, lies inside its bounds, and explains the picture."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
@@ -85,7 +85,7 @@ class Trust(eqx.Module):
         return "\n".join([self.verdict, *together(self.remarks)])
 
 
-def together(sentences: tuple[str, ...]) -> list[str]:
+def together(sentences: Sequence[str]) -> list[str]:
     """Merges sentences that say the same of several spheres."""
     spheres: dict[str, list[str]] = {}
     for sentence in sentences:

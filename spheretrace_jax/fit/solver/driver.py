@@ -146,14 +146,16 @@ class Driver:
         tolerance: float,
         max_steps: int,
         callback: Callable | None,
+        step: Callable[[str, int], Any] = lambda text, done: None,
     ):
         """Takes how to solve.
 
         **Arguments:** `method`: from the problem of a start to its solver. `dense`: whether solvers
-        see all residuals. `max_steps`: of all solves together.
+        see all residuals. `max_steps`: of all solves together. `step`: called with the cost, in
+        words, and the number of steps after each.
         """
         self.method, self.dense, self.tolerance = method, dense, tolerance
-        self.max_steps, self.callback = max_steps, callback
+        self.max_steps, self.callback, self.step = max_steps, callback, step
         self.costs: list[float] = []  #: the least so far, after every step
         self.result = optx.RESULTS.nonlinear_max_steps_reached
         self.stopped_by: StoppedBy | None = None
@@ -302,6 +304,7 @@ class Driver:
         least, scenes = self._best
         better = not aside and (cost < least or np.isinf(least))
         self.costs.append(cost if better else least)
+        self.step(f"cost {self.costs[-1]:.3e}", len(self.costs))
         if self.callback is None:
             return
         if better:

@@ -5,19 +5,23 @@ import dataclasses
 import io
 import math
 import os
+from html import escape
 from pathlib import Path
 
 from ..files.atomic import write_text
 from ..study.benchmarks.captions import caption, seconds
 from ..study.benchmarks.work_precision import Diagram, Point
 from ..study.study import Study
-from .report import new_figure, save_figure
+from . import page
+from .figures import figure_png, new_figure, save_figure
 
 _MARKERS = "os^vD<>pPX*"
 
 
 def write_study(folder: str | os.PathLike[str], study: Study) -> list[Path]:
-    """Writes `study.md`, `points.csv` and each diagram as PNG and SVG; makes the folder.
+    """Writes `study.md`, `points.csv`, each diagram as PNG and SVG, and one page, `study.html`.
+
+    The folder is made. The page holds its figures and needs no network.
 
     **Returns:** the files written.
 
@@ -25,15 +29,18 @@ def write_study(folder: str | os.PathLike[str], study: Study) -> list[Path]:
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / "study.md", folder / "points.csv"]
+    files = [folder / name for name in ("study.md", "points.csv", "study.html")]
+    parts = [page.paragraph(_about(study))]
     for diagram in study.diagrams:
         figure = _growth(diagram) if not diagram.error else _work_precision(diagram)
         for ending in ("png", "svg"):
             files.append(folder / f"{diagram.name}.{ending}")
             save_figure(figure, files[-1])
             figure.set_layout_engine("none")  # the layout takes longest, and is done
+        parts += _html(diagram, figure_png(figure))
     write_text(files[1], _points(study))
     write_text(files[0], _page(study))
+    write_text(files[2], page.page("Error against run time", *parts))
     return files
 
 
@@ -52,39 +59,61 @@ def _points(study: Study) -> str:
 
 def _page(study: Study) -> str:
     """Returns the page, in Markdown."""
-    settings = study.settings
-    about = ", ".join(f"{name} {value}" for name, value in study.machine.items())
-    paragraphs = [
-        "# Error against run time",
-        f"Measured on {about}; highlights {settings.highlight}, bounces {settings.bounces}, seed "
-        f"{settings.seed}. Times are medians of interleaved runs without compilation. "
-        "Compilation times are listed apart, without programs that earlier methods of the same "
-        "table had compiled. All points are in [points.csv](points.csv).",
-    ]
+    paragraphs = ["# Error against run time", f"{_about(study)} All points: [csv](points.csv)."]
     for diagram in study.diagrams:
         paragraphs += [
             f"## {diagram.title}",
             f"![{diagram.title}]({diagram.name}.png)",
             " ".join(caption(diagram)),
-            f"Truth: {diagram.reference}." if diagram.error else f"{diagram.reference}.",
-            _table(diagram),
+            _truth(diagram),
+            "\n".join(f"| {' | '.join(row)} |" for row in _table(diagram, rule="---")),
         ]
     return "\n\n".join(paragraphs) + "\n"
 
 
-def _table(diagram: Diagram) -> str:
-    """Returns a table: for each method the ends of its curve, and the time of compilation."""
+def _html(diagram: Diagram, png: bytes) -> list[str]:
+    """Returns a diagram's part of the page, in HTML."""
+    head, *rows = _table(diagram)
+    return [
+        page.heading(diagram.title),
+        page.image(png, diagram.title),
+        page.paragraph(" ".join([*caption(diagram), _truth(diagram)])),
+        page.table(head, [list(map(escape, row)) for row in rows]),
+    ]
+
+
+def _about(study: Study) -> str:
+    """Returns words for the machine, the settings and how times are measured."""
+    settings = study.settings
+    about = ", ".join(f"{name} {value}" for name, value in study.machine.items())
+    return (
+        f"Measured on {about}; highlights {settings.highlight}, bounces {settings.bounces}, seed "
+        f"{settings.seed}. Times are medians of interleaved runs without compilation. "
+        "Compilation times are listed apart, without programs that earlier methods of the same "
+        "table had compiled."
+    )
+
+
+def _truth(diagram: Diagram) -> str:
+    return f"Truth: {diagram.reference}." if diagram.error else f"{diagram.reference}."
+
+
+def _table(diagram: Diagram, rule: str = "") -> list[tuple[str, ...]]:
+    """Returns a table: for each method the ends of its curve, and the time of compilation.
+
+    **Arguments:** `rule`: the cells of a row below the head, if there is one.
+    """
+    rows = [("method" if diagram.error else "work", "from", "to", "compilation")]
+    rows += [(rule,) * 4] * bool(rule)
     if diagram.error:
-        lines = ["| method | from | to | compilation |", "|---|---|---|---|"]
         say = lambda p: f"{p.error:.1e} in {seconds(p.seconds)} ({p.knob})"
     else:
-        lines = ["| work | from | to | compilation |", "|---|---|---|---|"]
         say = lambda p: f"{seconds(p.seconds)}, {p.memory / 1e6:.3g} MB ({p.knob})"
     for method, points in diagram.curves.items():
         first, last = (seconds(points[k].compile_seconds) for k in (0, -1))
         compiling = first if first == last else f"{first} to {last}"
-        lines.append(f"| {method} | {say(points[0])} | {say(points[-1])} | {compiling} |")
-    return "\n".join(lines)
+        rows.append((method, say(points[0]), say(points[-1]), compiling))
+    return rows
 
 
 def _work_precision(diagram: Diagram):
