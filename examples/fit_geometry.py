@@ -5,7 +5,6 @@ python examples/fit_geometry.py [--size 96] [--output fit_geometry.png]
 
 import argparse
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,10 +37,13 @@ def displaced(scene: st.Scene) -> st.Scene:
     s = scene.spheres
     shift = jnp.array([[0.35, -0.35, 0], [-0.35, 0.35, 0]]) * s.radius[:, None]
     stretch = jnp.array([0.7, 1.3])
-    return eqx.tree_at(
-        lambda x: (x.spheres.center, x.spheres.radius, x.lights.position),
+    return st.replace(
         scene,
-        (s.center + shift, s.radius * stretch, scene.lights.position + jnp.array([[40, -40, 40]])),
+        {
+            "center": s.center + shift,
+            "radius": s.radius * stretch,
+            "light_position": scene.lights.position + jnp.array([[40, -40, 40]]),
+        },
     )
 
 

@@ -11,6 +11,7 @@ from .calibration.lights import BallLights as BallLights, lights as lights
 from .calibration.outline import ball_from_mask as ball_from_mask
 from .calibration.photo_outline import ball_from_photo as ball_from_photo
 from .display.progress import show_progress as show_progress
+from .display.show import show as show, to_srgb as to_srgb
 from .files.images import (
     read_image as read_image,
     read_mask as read_mask,
@@ -30,6 +31,7 @@ from .scene.planes import BackPlane as BackPlane, Planes as Planes
 from .scene.scene import Scene as Scene
 from .scene.spheres import Spheres as Spheres
 from .scene.texture import Texture as Texture
+from .scene.values import replace as replace, values as values
 from .study.checks.condition import Condition as Condition, check_condition as check_condition
 from .study.checks.gradients import (
     GradientTable as GradientTable,

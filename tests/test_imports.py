@@ -26,7 +26,7 @@ ORDER = {
 #: Folders that only compute, without files, plots and command line: the core, fit and study.
 COMPUTE = "base xla scene acceleration tracing antialiasing rendering fit study".split()
 #: Modules whose classes have methods that show something: these import `display` when called.
-SHOWING = [f"{PACKAGE}.fit.result"]
+SHOWING = [f"{PACKAGE}.{name}" for name in ("scene.scene", "fit.result", "calibration.lights")]
 HOST_LIBRARIES = {"OpenImageIO", "matplotlib", "rich", "tyro"}
 
 

@@ -63,6 +63,12 @@ class BallLights(Sequence[BallLight]):
         """Returns a line for each light."""
         return "\n".join(map(str, self))
 
+    def _repr_html_(self) -> str:
+        """Returns a table, for notebooks."""
+        from ..display.notebook import lights_html
+
+        return lights_html(self)
+
     @property
     def directions(self) -> Float[np.ndarray, "lights 3"]:
         """Returns all directions: unit vectors, x right, y up, z toward the viewer."""

@@ -11,10 +11,11 @@ from jaxtyping import PyTree
 from ..base.errors import InputError, SceneWarning
 from ..base.progress import working
 from ..base.types import Highlight
+from ..scene.numbers import whole_number
 from ..scene.scene import Scene
 from ..xla.jit import compiled
 from .model.accessors import GEOMETRY
-from .model.constraints import Free
+from .model.constraints import Free, free_names
 from .model.target import Loss
 from .multistart import fit_from_starts
 from .problem.make_problem import make_problem
@@ -34,7 +35,7 @@ def fit(
     target: Any,
     *,
     free: Free | None = None,
-    own: Sequence[str] = (),
+    own: str | Sequence[str] = (),
     tie: Mapping[str, Any] | None = None,
     bounds: Mapping[str, Any] | None = None,
     priors: Mapping[str, Any] | None = None,
@@ -161,7 +162,7 @@ def fit(
     """
     check_solver(solver)
     problem = make_problem(
-        scene, target, free, per_picture=tuple(own), tie=tie, limits=bounds, priors=priors,
+        scene, target, free, per_picture=free_names(own), tie=tie, limits=bounds, priors=priors,
         highlight=highlight, bounces=bounces, samples=samples, sharding=sharding, mask=mask,
         weights=weights, noise=noise, darkest=darkest, brightest=brightest, loss=loss,
         shrink=shrink,
@@ -178,6 +179,7 @@ def fit(
         raise InputError(f"gauge must be one of {', '.join(GAUGES)}, got {gauge!r}")
     if not 0 < tolerance <= 1:
         raise InputError(f"tolerance must be above 0 and at most 1, got {tolerance}")
+    max_steps = whole_number("max_steps", max_steps)
     if max_steps < 0:
         raise InputError(f"max_steps must be at least 0, got {max_steps}")
     rtol, atol = tolerances(problem.dtype, rtol, atol)

@@ -73,6 +73,12 @@ class Fit(eqx.Module):
             lines.append(f"and {more} more remarks: print(found.trust)")
         return "\n".join(lines)
 
+    def _repr_html_(self) -> str:
+        """Returns the verdict and the remarks beside a small picture, for notebooks."""
+        from ..display.notebook import fit_html
+
+        return fit_html(self)
+
     def _free_words(self, name: str) -> str:
         """Returns a name, and of how many objects it is free if not of all."""
         numbers = self.problem.parameters[0].free_numbers(name)

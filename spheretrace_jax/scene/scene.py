@@ -19,6 +19,7 @@ from ..base.errors import InputError
 from .arrays import check_shapes, converted, described, floats, is_traced, precision, with_one_dtype
 from .camera import Camera
 from .lights import Lights, check_directional
+from .numbers import check_numbers
 from .planes import BackPlane, Planes
 from .spheres import Spheres, check_pic
 from .summary import summary
@@ -76,6 +77,12 @@ class Scene(eqx.Module):
         """Returns a summary of at most ten lines; `repr` shows the whole pytree."""
         return summary(check_scene(self))
 
+    def _repr_html_(self) -> str:
+        """Returns a small picture beside a table, for notebooks."""
+        from ..display.notebook import scene_html
+
+        return scene_html(self)
+
     @property
     def dtype(self) -> np.dtype:
         """Returns the floating dtype of the scene, which is that of its pictures."""
@@ -102,9 +109,11 @@ def check_scene(scene: Any) -> Scene:
     """Checks a scene: `jax.tree.map`, `equinox.tree_at` and `replace` change one without a check.
 
     All that takes a scene from a user begins here. Classes, shapes and dtypes are looked at, which
-    are known of traced numbers too.
+    are known of traced numbers too, and numbers where these are known.
 
     **Returns:** the scene, with Python's numbers and NumPy's arrays as arrays of JAX.
+
+    **Warns:** `SceneWarning`, once, for colours of objects out of 0..1.
 
     **Raises:** `InputError`, which names the field, what it must be, and what it is.
     """
@@ -119,7 +128,9 @@ def check_scene(scene: Any) -> Scene:
     for name, array in arrays.items():
         if name.endswith(".image") and 0 in array.shape:
             raise InputError(f"{name} must hold a pixel or more, got shape {array.shape}")
-    return with_one_dtype(scene, arrays)
+    scene = with_one_dtype(scene, arrays)
+    check_numbers(arrays)
+    return scene
 
 
 def known_scene(scene: Any) -> Scene:

@@ -11,6 +11,7 @@ from ..base.errors import InputError
 from ..base.types import Highlight
 from ..xla.sharding import Rows, rows_of_device, rows_sharding
 from .needs import Needs, needs_of
+from .numbers import whole_number
 from .scene import Scene
 
 #: Limit of the samples along a pixel's side. More would never end: time grows with the square.
@@ -66,6 +67,9 @@ def render_settings(
     **Raises:** `InputError` for sizes, samples or bounces out of range, unknown highlights,
     and shardings that divide other axes than rows.
     """
+    width, height, bounces, samples = map(
+        whole_number, ("width", "height", "bounces", "samples"), (width, height, bounces, samples)
+    )
     for name, value, least in (("width", width, 1), ("height", height, 1), ("bounces", bounces, 0)):
         if value < least:
             raise InputError(f"{name} must be at least {least}, got {value}")

@@ -41,7 +41,7 @@ class Study:
 def study(
     scene: Scene,
     *,
-    parts: Sequence[str] = tuple(PARTS),
+    parts: str | Sequence[str] = tuple(PARTS),
     quick: bool = False,
     **changes: Any,
 ) -> Study:
@@ -59,6 +59,7 @@ def study(
     **Raises:** `InputError` for unknown parts.
     """
     scene = check_scene(scene)
+    parts = [parts] if isinstance(parts, str) else parts
     unknown = [part for part in parts if part not in PARTS]
     if unknown or not parts:
         got = ", ".join(unknown) or "none"

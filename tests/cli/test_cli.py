@@ -170,7 +170,8 @@ def test_fit_finds_the_scene_and_reports_it(spheretrace):
         r"fitted\.txt: converged after \d+ steps, root-mean-square residual \d\.\d\de-\d\d",
         lines[0],
     )
-    report = ["new/report/comparison.png", "new/report/cost.png", "new/report/report.md"]
+    names = ("comparison.png", "cost.png", "report.md", "report.html")
+    report = [f"new/report/{name}" for name in names]
     assert lines[1:] == report
     found = st.load_scene("fitted.txt", np.float64)
     truth = st.load_scene("scene.txt", np.float64)

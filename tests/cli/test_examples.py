@@ -50,6 +50,13 @@ def test_fit_picture(tmp_path):
 
 
 @pytest.mark.slow
+def test_optax_loop(tmp_path):
+    said = run("optax_loop.py", "--steps", "120", folder=tmp_path)
+    errors = [float(x) for x in re.findall(r"error (\S+)", said)]
+    assert len(errors) == 4 and errors[-1] < 0.02 * errors[0]
+
+
+@pytest.mark.slow
 def test_several_devices(tmp_path):
     said = run("several_devices.py", "--size", "24", "--devices", "4", folder=tmp_path)
     rows = re.findall(r"has rows (\d+)\.\.(\d+)", said)

@@ -17,8 +17,8 @@ from ...base.errors import InputError
 from ...scene.parameters import FITTED, LIGHT_PLACES, LIMITS, rows_of, with_optional
 from ...scene.scene import Scene
 
-Free = Sequence[str] | Mapping[str, Any]
-"""Names of free parameters, or which objects' numbers are free by name."""
+Free = str | Sequence[str] | Mapping[str, Any]
+"""Names of free parameters, one name, or which objects' numbers are free by name."""
 
 #: What the rows of parameters are, by their owner.
 OBJECTS = {"spheres": "sphere", "lights": "light", "camera": "coordinate", "scene": "channel"}

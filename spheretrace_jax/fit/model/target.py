@@ -18,6 +18,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 from ...base.errors import InputError, PictureError, PictureWarning
 from ...base.safe_math import larger
 from ...base.types import Picture
+from ...scene.numbers import whole_number
 from .photo_noise import estimate_photo_noise
 from .picture_numbers import linear_numbers, yes_or_no
 from .saturation import from_level, saturated
@@ -228,6 +229,7 @@ def _shrunk(pixels: np.ndarray, weight: np.ndarray, side: int) -> tuple[np.ndarr
     counts.
     """
     height, width, _ = pixels.shape
+    side = whole_number("shrink", side)
     if side < 1 or height % side or width % side:
         divisors = [str(n) for n in common_divisors(width, height)]
         known = f"such as {', '.join(divisors[:6])}" if divisors else "but none does"

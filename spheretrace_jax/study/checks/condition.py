@@ -78,7 +78,7 @@ class Condition:
 def check_condition(
     scene: Scene,
     *,
-    free: Sequence[str] | None = None,
+    free: str | Sequence[str] | None = None,
     width: int = 64,
     height: int = 64,
     highlight: Highlight = "phong",
