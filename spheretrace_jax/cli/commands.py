@@ -35,6 +35,7 @@ from .standard_streams import (
     read_scene,
     say,
 )
+from .view_command import ViewCommand
 
 
 @dataclass(kw_only=True)
@@ -226,6 +227,7 @@ COMMANDS: dict[str, type[Command]] = {
     "render": RenderCommand,
     "fit": FitCommand,
     "lights": LightsCommand,
+    "view": ViewCommand,
     "check": CheckCommand,
     "study": StudyCommand,
     "info": InfoCommand,

@@ -75,7 +75,7 @@ def needs(scene: Scene | Sequence[Scene], *, free: Iterable[str] = ()) -> Needs:
     scenes = [check_scene(s) for s in (scene if isinstance(scene, Iterable) else [scene])]
     if not scenes:
         raise InputError("needs must be asked of at least one scene, got none")
-    return functools.reduce(_together, [needs_of(one, free) for one in scenes])
+    return functools.reduce(together, [needs_of(one, free) for one in scenes])
 
 
 def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
@@ -131,7 +131,7 @@ def needs_of(scene: Scene, free: frozenset[str] = frozenset()) -> Needs:
     )
 
 
-def _together(a: Needs, b: Needs) -> Needs:
+def together(a: Needs, b: Needs) -> Needs:
     """Returns the needs of two scenes together."""
     flags = {
         name: value or getattr(b, name)

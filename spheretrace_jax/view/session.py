@@ -1,0 +1,240 @@
+"""The session of a window: a scene, what is shown of it, and how messages of the page change it."""
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..files.scene_writer import save_scene
+from ..rendering.layers import render_layers
+from ..scene.needs import Needs, needs, together
+from ..scene.parameters import FITTED, LIGHT_PLACES, rows_of
+from ..scene.scene import Scene
+from ..scene.settings import MOST_BRANCHINGS
+from ..scene.values import replace, values
+from .frames import Frame, Shown, draw_frame
+
+# What is dragged from frame to frame: whatever it could switch on is compiled from the start.
+_DRAGGED = ("center", "radius", "theta", "phi", "mu", "light_position")
+
+# The scenes that can be undone, the last ones.
+_MOST_UNDONE = 100
+
+#: The parameters of a sphere that have a slider, those of lights, and those of the camera.
+SLIDERS = {
+    "spheres": ("color", "ka", "kd", "ks", "exponent", "kgr", "kt", "ior", "center", "radius"),
+    "lights": ("light_position", "light_direction", "light_color"),
+    "camera": ("theta", "phi", "mu", "distance", "roll"),
+}
+
+
+class Session:
+    """A scene that is looked at and changed.
+
+    A frame is drawn by the features that the session has needed so far, so that a slider compiles
+    once at most: where it switches a feature on for the first time.
+    """
+
+    def __init__(self, scene: Scene, size: tuple[int, int], target: np.ndarray | None = None):
+        """Takes a scene. **Arguments:** `size`: width and height. `target`: a picture of the size.
+
+        **Raises:** `InputError` for scenes that cannot be drawn.
+        """
+        self.scene, self.size, self.target = scene, size, target
+        self.kind: Any = "picture"
+        self.bounces = min(5, MOST_BRANCHINGS)
+        self.parameter, self.row, self.column = "color", 0, 0
+        self.sphere = 0 if len(scene.spheres) else -1
+        self._needs = needs(scene, free=_DRAGGED)
+        self._undone: list[Scene] = []
+
+    def frame(self) -> Callable[[], Frame]:
+        """Returns the drawing of the present state, which may be done in another thread."""
+        derived = self.kind == "derivative"
+        free = (*_DRAGGED, self.parameter) if derived else _DRAGGED
+        self._needs = _both(self._needs, self.scene, free)
+        number = (self.parameter, self.row, self.column) if derived else ("", 0, 0)
+        shown = Shown(self.kind, self.size, self.bounces, self._needs, *number)
+        return partial(draw_frame, self.scene, shown, self.target)
+
+    # --- messages -----------------------------------------------------------------------------
+
+    def take(self, message: dict[str, Any]) -> None:
+        """Changes the session by a message of the page.
+
+        **Raises:** `InputError` for what cannot be; the session is then as before.
+        """
+        takes: dict[str, Callable[..., None]] = {
+            "set": self._set, "camera": self._camera, "light": self._move_light,
+            "show": self._show, "options": self._options, "pick": self._pick,
+            "begin": self._begin, "undo": self._undo, "sphere": self._choose,
+        }  # fmt: skip
+        kind = message.get("type")
+        if kind not in takes:
+            raise InputError(f"unknown message {kind!r}")
+        try:
+            takes[kind](**{k: v for k, v in message.items() if k != "type"})
+        except (TypeError, ValueError, IndexError, KeyError) as error:
+            raise InputError(f"{kind}: {error}") from None
+
+    def _set(self, name: str, value: float, row: int = 0, column: int = 0) -> None:
+        """Sets one number of a parameter."""
+        if name not in FITTED:
+            raise InputError(f"unknown parameter {name}")
+        array = np.array(values(self.scene, name)[name])
+        at = (row, column)[: array.ndim]
+        low = {"positive": np.nextafter(0, 1), "nonnegative": 0, "unit": 0, "refraction": 1}
+        number, least = float(value), low.get(FITTED[name].range, -np.inf)
+        most = 1 if FITTED[name].range == "unit" else np.inf
+        if not least <= number <= most:
+            limits = f"in {least:g}..{most:g}" if np.isfinite(most) else f"at least {least:g}"
+            raise InputError(f"{name} must be {limits}, got {number:g}")
+        array[at] = number
+        self.scene = replace(self.scene, {name: array})
+
+    def _camera(self, **numbers: float) -> None:
+        """Sets several numbers of the camera at once."""
+        unknown = set(numbers) - set(SLIDERS["camera"])
+        if unknown:
+            raise InputError(f"unknown parameter {', '.join(sorted(unknown))}")
+        self.scene = replace(self.scene, numbers)
+
+    def _move_light(self, row: int, x: float, y: float) -> None:
+        """Moves a light to a place of the picture, in the plane parallel to the view plane.
+
+        **Arguments:** `x`, `y`: pixels from the left and top edge.
+        """
+        handle = self.handles()[row]
+        if handle is None:
+            raise InputError(f"light {row + 1} cannot be dragged: it is behind the eye or far away")
+        K, R, t = (np.asarray(m, np.float64) for m in self.scene.camera.opencv(self.size))
+        depth = handle[2]
+        place = R.T @ (np.linalg.solve(K, [x - 0.5, y - 0.5, 1]) * depth - t)
+        positions = np.array(self.scene.lights.position)
+        positions[row] = place
+        self.scene = replace(self.scene, {"light_position": positions})
+
+    def _show(self, kind: str, parameter: str = "", row: int = 0, column: int = 0) -> None:
+        """Chooses what is shown: the picture, the derivative by one number, or the residual."""
+        if kind not in ("picture", "derivative", "residual"):
+            raise InputError(f"cannot show {kind}")
+        if kind == "residual" and self.target is None:
+            raise InputError("there is no target: start with --target PICTURE")
+        if kind == "derivative":
+            if parameter not in FITTED:
+                raise InputError(f"unknown parameter {parameter}")
+            shape = values(self.scene, parameter)[parameter].shape
+            if any(not 0 <= i < n for i, n in zip((row, column), shape, strict=False)):
+                raise InputError(f"{parameter} has shape {shape}, no number {row}, {column}")
+            self.parameter, self.row, self.column = parameter, row, column
+        self.kind = kind
+
+    def _options(self, antialias: int | None = None, bounces: int | None = None) -> None:
+        """Sets the antialias flag and the bounces."""
+        if bounces is not None:
+            if not 0 <= int(bounces) <= MOST_BRANCHINGS:
+                raise InputError(f"bounces must be in 0..{MOST_BRANCHINGS}, got {bounces}")
+            self.bounces = int(bounces)
+        if antialias is not None:
+            self.scene = self.scene.with_antialias(antialias)
+
+    def _pick(self, x: float, y: float) -> None:
+        """Chooses the sphere at a pixel."""
+        width, height = self.size
+        if not (0 <= x < width and 0 <= y < height):
+            return
+        flat = self.scene.with_antialias(0)
+        object_ = int(render_layers(flat, width=width, height=height).object[int(y), int(x)])
+        if 0 <= object_ < len(self.scene.spheres):
+            self.sphere = object_
+
+    def _choose(self, row: int) -> None:
+        """Chooses a sphere."""
+        if not 0 <= row < len(self.scene.spheres):
+            raise InputError(f"there is no sphere {row + 1}")
+        self.sphere = row
+
+    def _begin(self) -> None:
+        """Remembers the scene, before a drag or a slider changes it."""
+        if not self._undone or self._undone[-1] is not self.scene:
+            self._undone = [*self._undone[1 - _MOST_UNDONE :], self.scene]
+
+    def _undo(self) -> None:
+        """Goes back to the scene before the last drag or slider."""
+        while self._undone:
+            scene = self._undone.pop()
+            if scene is not self.scene:
+                self.scene = scene
+                return
+
+    # --- what the page shows ------------------------------------------------------------------
+
+    def handles(self) -> list[tuple[float, float, float] | None]:
+        """Returns where lights are in the picture, x, y in pixels and their depth.
+
+        None for lights behind the eye, at infinity, and in parallel views.
+        """
+        lights = self.scene.lights
+        if self.scene.camera.orthographic:
+            return [None] * len(lights)
+        K, R, t = (np.asarray(m, np.float64) for m in self.scene.camera.opencv(self.size))
+        found: list[tuple[float, float, float] | None] = []
+        for position, far in zip(np.asarray(lights.position), lights.directional, strict=True):
+            seen = R @ position + t
+            if far or not seen[2] > 0:
+                found.append(None)
+                continue
+            x, y, _ = K @ (seen / seen[2])
+            found.append((float(x) + 0.5, float(y) + 0.5, float(seen[2])))
+        return found
+
+    def state(self) -> dict[str, Any]:
+        """Returns what the page shows besides the frame: numbers, handles and choices."""
+        scene = self.scene
+        numbers = values(scene, [name for names in SLIDERS.values() for name in names])
+        lights = {n: rows_of(scene, n).tolist() for n in LIGHT_PLACES}
+        return {
+            "values": {name: np.asarray(x).tolist() for name, x in numbers.items()},
+            "ranges": {name: FITTED[name].range for name in numbers},
+            "sliders": SLIDERS,
+            "lights": lights,
+            "handles": self.handles(),
+            "size": self.size,
+            "sphere": self.sphere,
+            "antialias": scene.antialias,
+            "bounces": self.bounces,
+            "kind": self.kind,
+            "parameter": [self.parameter, self.row, self.column],
+            "target": self.target is not None,
+            "extent": _extent(scene),
+            "undo": len(self._undone),
+        }
+
+    def save(self, path: Path, overwrite: bool = False) -> str:
+        """Writes the scene. **Returns:** words for what was done.
+
+        **Raises:** `InputError` for a file that exists, unless it may be overwritten, and for
+        scenes that cannot be written; `OSError` if the file cannot be written.
+        """
+        if path.exists() and not overwrite:
+            raise InputError(f"{path} exists: choose another name, or allow to overwrite it")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            save_scene(path, self.scene)
+        return f"saved {path}"
+
+
+def _both(known: Needs, scene: Scene, free: tuple[str, ...]) -> Needs:
+    """Returns what earlier scenes and this one need together."""
+    return together(known, needs(scene, free=free))
+
+
+def _extent(scene: Scene) -> float:
+    """Returns a length of the scene, for the ranges of sliders."""
+    centers, radii = np.asarray(scene.spheres.center), np.asarray(scene.spheres.radius)
+    reach = (np.abs(centers).max(axis=1) + radii).max() if len(radii) else 0.0
+    return float(max(reach, abs(float(scene.camera.mu)), 1e-6))
