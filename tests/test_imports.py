@@ -18,7 +18,7 @@ FILES = {
 #: Of a folder the order of its entries: an entry imports only from itself and from those before it.
 ORDER = {
     PACKAGE: "base < xla < scene < acceleration < tracing < antialiasing < rendering"
-    " < files < fit < study < calibration < display < view < cli",
+    " < files < fit < study < calibration < display < cli",
     f"{PACKAGE}.fit": "model < normal_equations < problem < solver < diagnosis"
     " < multistart, solution < result < fit",
     f"{PACKAGE}.study": "checks < benchmarks < study",

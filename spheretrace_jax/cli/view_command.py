@@ -33,7 +33,7 @@ class ViewCommand(Sized, Compiling):
     def run(self) -> int:
         """Serves the window until it is interrupted."""
         try:
-            from ..view.server import Window, serve
+            from ..display.view.server import Window, serve
         except ModuleNotFoundError as error:
             if error.name != "aiohttp":
                 raise
@@ -42,7 +42,7 @@ class ViewCommand(Sized, Compiling):
             ) from None
         import webbrowser
 
-        from ..view.session import Session
+        from ..display.view.session import Session
 
         if not 0 <= self.port < 1 << 16:
             raise InputError(f"--port must be in 0..65535, got {self.port}")

@@ -1,21 +1,22 @@
 """The session of a window: a scene, what is shown of it, and how messages of the page change it."""
 
+import math
 import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.errors import InputError
-from ..files.scene_writer import save_scene
-from ..rendering.layers import render_layers
-from ..scene.needs import Needs, needs, together
-from ..scene.parameters import FITTED, LIGHT_PLACES, rows_of
-from ..scene.scene import Scene
-from ..scene.settings import MOST_BRANCHINGS
-from ..scene.values import replace, values
+from ...base.errors import InputError
+from ...files.scene_writer import save_scene
+from ...rendering.layers import render_layers
+from ...scene.needs import Needs, needs, together
+from ...scene.parameters import FITTED, LIGHT_PLACES, Range, rows_of
+from ...scene.scene import Scene
+from ...scene.settings import MOST_BRANCHINGS
+from ...scene.values import replace, values
 from .frames import Frame, Shown, draw_frame
 
 # What is dragged from frame to frame: whatever it could switch on is compiled from the start.
@@ -29,6 +30,22 @@ SLIDERS = {
     "spheres": ("color", "ka", "kd", "ks", "exponent", "kgr", "kt", "ior", "center", "radius"),
     "lights": ("light_position", "light_direction", "light_color"),
     "camera": ("theta", "phi", "mu", "distance", "roll"),
+}
+
+
+class _Limits(NamedTuple):
+    """What a number may be."""
+
+    holds: Callable[[float], bool]
+    words: str
+
+
+_LIMITS: dict[Range, _Limits] = {
+    "unit": _Limits(lambda x: 0 <= x <= 1, "in 0..1"),
+    "positive": _Limits(lambda x: x > 0, "greater than 0"),
+    "nonnegative": _Limits(lambda x: x >= 0, "at least 0"),
+    "refraction": _Limits(lambda x: x >= 1, "at least 1"),
+    "any": _Limits(lambda x: True, "finite"),
 }
 
 
@@ -64,7 +81,7 @@ class Session:
     # --- messages -----------------------------------------------------------------------------
 
     def take(self, message: dict[str, Any]) -> None:
-        """Changes the session by a message of the page.
+        """Changes the session by a message of the page, whose numbers may be anything.
 
         **Raises:** `InputError` for what cannot be; the session is then as before.
         """
@@ -81,29 +98,27 @@ class Session:
         except (TypeError, ValueError, IndexError, KeyError) as error:
             raise InputError(f"{kind}: {error}") from None
 
-    def _set(self, name: str, value: float, row: int = 0, column: int = 0) -> None:
+    def _set(self, name: Any, value: Any, row: Any = 0, column: Any = 0) -> None:
         """Sets one number of a parameter."""
         if name not in FITTED:
             raise InputError(f"unknown parameter {name}")
         array = np.array(values(self.scene, name)[name])
         at = (row, column)[: array.ndim]
-        low = {"positive": np.nextafter(0, 1), "nonnegative": 0, "unit": 0, "refraction": 1}
-        number, least = float(value), low.get(FITTED[name].range, -np.inf)
-        most = 1 if FITTED[name].range == "unit" else np.inf
-        if not least <= number <= most:
-            limits = f"in {least:g}..{most:g}" if np.isfinite(most) else f"at least {least:g}"
-            raise InputError(f"{name} must be {limits}, got {number:g}")
+        number = float(value)
+        limits = _LIMITS[FITTED[name].range]
+        if not (math.isfinite(number) and limits.holds(number)):
+            raise InputError(f"{name} must be {limits.words}, got {number:g}")
         array[at] = number
         self.scene = replace(self.scene, {name: array})
 
-    def _camera(self, **numbers: float) -> None:
+    def _camera(self, **numbers: Any) -> None:
         """Sets several numbers of the camera at once."""
         unknown = set(numbers) - set(SLIDERS["camera"])
         if unknown:
             raise InputError(f"unknown parameter {', '.join(sorted(unknown))}")
         self.scene = replace(self.scene, numbers)
 
-    def _move_light(self, row: int, x: float, y: float) -> None:
+    def _move_light(self, row: Any, x: Any, y: Any) -> None:
         """Moves a light to a place of the picture, in the plane parallel to the view plane.
 
         **Arguments:** `x`, `y`: pixels from the left and top edge.
@@ -118,7 +133,7 @@ class Session:
         positions[row] = place
         self.scene = replace(self.scene, {"light_position": positions})
 
-    def _show(self, kind: str, parameter: str = "", row: int = 0, column: int = 0) -> None:
+    def _show(self, kind: Any, parameter: Any = "", row: Any = 0, column: Any = 0) -> None:
         """Chooses what is shown: the picture, the derivative by one number, or the residual."""
         if kind not in ("picture", "derivative", "residual"):
             raise InputError(f"cannot show {kind}")
@@ -133,7 +148,7 @@ class Session:
             self.parameter, self.row, self.column = parameter, row, column
         self.kind = kind
 
-    def _options(self, antialias: int | None = None, bounces: int | None = None) -> None:
+    def _options(self, antialias: Any = None, bounces: Any = None) -> None:
         """Sets the antialias flag and the bounces."""
         if bounces is not None:
             if not 0 <= int(bounces) <= MOST_BRANCHINGS:
@@ -142,7 +157,7 @@ class Session:
         if antialias is not None:
             self.scene = self.scene.with_antialias(antialias)
 
-    def _pick(self, x: float, y: float) -> None:
+    def _pick(self, x: Any, y: Any) -> None:
         """Chooses the sphere at a pixel."""
         width, height = self.size
         if not (0 <= x < width and 0 <= y < height):
@@ -152,7 +167,7 @@ class Session:
         if 0 <= object_ < len(self.scene.spheres):
             self.sphere = object_
 
-    def _choose(self, row: int) -> None:
+    def _choose(self, row: Any) -> None:
         """Chooses a sphere."""
         if not 0 <= row < len(self.scene.spheres):
             raise InputError(f"there is no sphere {row + 1}")

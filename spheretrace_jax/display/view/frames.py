@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped, UInt8
 
-from ..display.figures import displayed
-from ..rendering.render import render
-from ..scene.needs import Needs
-from ..scene.parameters import FITTED, with_optional
-from ..scene.scene import Scene
+from ...rendering.render import render
+from ...scene.needs import Needs
+from ...scene.parameters import FITTED, with_optional
+from ...scene.scene import Scene
+from ..figures import displayed
 
 Kind = Literal["picture", "derivative", "residual"]
 """What a frame shows."""

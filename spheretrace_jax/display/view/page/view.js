@@ -232,9 +232,7 @@ function zoom(factor) {
   if (!zooming) send({ type: "begin" });
   clearTimeout(zooming);
   zooming = setTimeout(() => { zooming = 0; }, 500);
-  // the window's distance goes with the eye's: the picture keeps its field of view
-  const { mu, distance } = state.values;
-  send({ type: "camera", mu: mu * factor, distance: distance * factor }, "zoom");
+  send({ type: "camera", mu: Math.max(state.values.mu, 1e-3 * state.extent) * factor }, "zoom");
 }
 
 stage.addEventListener("wheel", (event) => {

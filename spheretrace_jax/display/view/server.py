@@ -15,9 +15,9 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from ..base.errors import InputError
-from ..fit.model.accessors import NAMES
-from ..scene.scene import Scene
+from ...base.errors import InputError
+from ...fit.model.accessors import NAMES
+from ...scene.scene import Scene
 from .fitting import RunningFit
 from .frames import Frame
 from .session import Session
@@ -57,7 +57,8 @@ class Window:
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Callable) -> web.StreamResponse:
         """Refuses requests of other hosts and pages; without the token nothing is found at all."""
-        port = request.url.port
+        assert request.transport is not None
+        port = request.transport.get_extra_info("sockname")[1]
         hosts = {f"{HOST}:{port}", f"localhost:{port}"}
         origin = request.headers.get("Origin")
         if request.host not in hosts or (origin and origin not in {f"http://{h}" for h in hosts}):
@@ -68,7 +69,9 @@ class Window:
 
     async def _file(self, request: web.Request) -> web.Response:
         name = _FILES[request.path.rsplit("/", 1)[1]]
-        text = (resources.files("spheretrace_jax.view") / "page" / name).read_text(encoding="utf-8")
+        text = (resources.files("spheretrace_jax.display.view") / "page" / name).read_text(
+            encoding="utf-8"
+        )
         policy = "default-src 'self'; connect-src 'self'; img-src 'self' data:"
         return web.Response(
             text=text,

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
-from ..fit import Fit, Progress, fit
-from ..scene.scene import Scene
+from ...base.errors import InputError
+from ...fit import Fit, Progress, fit
+from ...scene.scene import Scene
 
 
 class RunningFit:
