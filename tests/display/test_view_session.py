@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 from helpers.scenes import SCENES
-from spheretrace_jax.view.frames import heat_map
-from spheretrace_jax.view.session import SLIDERS, Session
+from spheretrace_jax.display.view.frames import heat_map
+from spheretrace_jax.display.view.session import SLIDERS, Session
 
 import spheretrace_jax as st
 

@@ -18,8 +18,8 @@ pytest.importorskip("aiohttp", reason="the extra `view` is not installed")
 
 from aiohttp import WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
-from spheretrace_jax.view.server import Window
-from spheretrace_jax.view.session import Session
+from spheretrace_jax.display.view.server import Window
+from spheretrace_jax.display.view.session import Session
 
 SIZE = (24, 16)
 SCENE = SCENES["diffuse"].astype("float32")
@@ -184,9 +184,9 @@ def test_mistakes_of_the_command_are_one_line(tmp_path, monkeypatch):
     )  # fmt: skip
     status, _, err = spheretrace("view", "scene.txt", "--port", "99999")
     assert (status, err) == (2, "spheretrace: --port must be in 0..65535, got 99999\n")
-    monkeypatch.setitem(sys.modules, "spheretrace_jax.view.server", None)
+    monkeypatch.setitem(sys.modules, "spheretrace_jax.display.view.server", None)
     monkeypatch.setitem(sys.modules, "aiohttp", None)
-    monkeypatch.delitem(sys.modules, "spheretrace_jax.view.server")
+    monkeypatch.delitem(sys.modules, "spheretrace_jax.display.view.server")
     status, _, err = spheretrace("view", "scene.txt")
     assert status == 2 and "needs the extra view: pip install 'spheretrace_jax[view]'" in err
 
