@@ -162,8 +162,8 @@ class StudyCommand(Compiling):
 
     def run(self) -> int:
         """Measures, and writes the page and its figures."""
-        from .. import study
         from ..display.study_report import write_study
+        from ..study.study import study
 
         check_folder(self.report)
         scene = read_scene(self.scene, "float64")

@@ -125,8 +125,11 @@ CHECK = ("check", "scene.txt", "--size", "16x12", "--bounces", "0")
 
 @pytest.mark.slow
 def test_check_says_that_all_is_well_or_what_is_not(spheretrace):
-    status, out, err = spheretrace(*CHECK)
+    status, out, err = spheretrace(*CHECK, "--report", "check.html")
     assert (status, err) == (0, "")
+    page = Path("check.html").read_text()
+    assert out.endswith("wrote check.html\n") and page.count("class='grade good'") == 3
+    assert "<h1>Check of scene.txt</h1>" in page and "http" not in page
     text = " ".join(out.split())
     assert "derivatives: forward mode, reverse mode and differences agree" in text
     assert re.search(r"spheres.exponent ( *\d\.\de[+-]\d\d){3} +0 +yes", text)
@@ -329,7 +332,7 @@ MISTAKES = {
     ),
     "a file for the report": (
         "fit scene.txt target.exr -o out.txt --report scene.txt",
-        "scene.txt: expected a folder to write to, this is a file",
+        "scene.txt: expected a name that ends in .html, or a folder",
     ),
     "unknown name": (
         "fit scene.txt target.exr -o out.txt --free ks,colour",
@@ -514,8 +517,14 @@ HELP = {
     ],
     "fit": [
         *("SCENE", "TARGET", "-o FITTED.txt", "--free NAMES", "color, ka, kd, ks, exponent"),
-        *("light_position", "--highlight {phong,blinn}", "--max-steps N", "--report DIR"),
-        *("cost curve", "--dtype", "when it is interrupted", "Exit status 1", "--cache DIR"),
+        *("light_position", "--highlight {phong,blinn}", "--max-steps N", "--report DIR|FILE.html"),
+        *(
+            "pictures and a table",
+            "--dtype",
+            "when it is interrupted",
+            "Exit status 1",
+            "--cache DIR",
+        ),
         *("--noise X|photo", "--tolerance X", "not to be used"),
     ],
     "check": ["SCENE", "--size WxH", "--free NAMES", "the worst pixels and why"],

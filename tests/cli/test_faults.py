@@ -132,9 +132,8 @@ def interrupt() -> None:
 def test_an_interrupted_fit_is_written_and_exits_with_130(folder, monkeypatch):
     fit = st.fit
 
-    def interrupted(scene, target, *, callback, **settings):
+    def interrupted(scene, target, **settings):
         def show(progress):
-            callback(progress)
             if progress.step == 2:
                 interrupt()
 

@@ -18,6 +18,7 @@ pytest.importorskip("aiohttp", reason="the extra `view` is not installed")
 
 from aiohttp import WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
+
 from spheretrace_jax.display.view.server import Window
 from spheretrace_jax.display.view.session import Session
 

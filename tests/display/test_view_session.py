@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 from helpers.scenes import SCENES
-from spheretrace_jax.display.view.frames import heat_map
-from spheretrace_jax.display.view.session import SLIDERS, Session
 
 import spheretrace_jax as st
+from spheretrace_jax.display.view.frames import heat_map
+from spheretrace_jax.display.view.session import SLIDERS, Session
 
 SIZE = (24, 16)
 SCENE = SCENES["diffuse"].astype("float32")

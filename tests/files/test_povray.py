@@ -116,7 +116,7 @@ def test_text_holds_finite_numbers_only(reference):
 
 
 def test_nan_is_refused():
-    with pytest.raises(st.SceneError, match="holds nan"):
+    with pytest.raises(st.InputError, match=r"spheres\.kd\[0\] must be finite, got nan"):
         povray_text(small_scene(kd=jnp.nan))
 
 

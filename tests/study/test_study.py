@@ -95,7 +95,7 @@ def test_a_study_is_written_as_a_page_figures_and_a_table(tmp_path):
     made = Study((MADE, GROWTH), machine(), Settings(seed=7))
     files = write_study(tmp_path / "new", made)
     assert {f.name for f in files} == {
-        "study.md", "points.csv", "made.png", "made.svg", "grown.png", "grown.svg",
+        "study.md", "study.html", "points.csv", "made.png", "made.svg", "grown.png", "grown.svg",
     }  # fmt: skip
     assert all(f.stat().st_size > 100 for f in files)
     rows = list(csv.DictReader((tmp_path / "new" / "points.csv").open()))
@@ -105,6 +105,8 @@ def test_a_study_is_written_as_a_page_figures_and_a_table(tmp_path):
     page = (tmp_path / "new" / "study.md").read_text()
     for diagram in (MADE, GROWTH):
         assert " ".join(caption(diagram)) in page and f"({diagram.name}.png)" in page
+    html = (tmp_path / "new" / "study.html").read_text()
+    assert html.count("data:image/png") == 2 and html.count("<table>") == 2 and "http" not in html
 
 
 @pytest.mark.slow
@@ -180,7 +182,6 @@ def test_the_command_studies_a_scene_and_says_what_it_wrote(monkeypatch):
         assert (status, err) == (0, "")
         written = [line.strip() for line in out.splitlines()[1:]]
         assert "new/report/study.md" in written and all((folder / f).is_file() for f in written)
-    del asked["say"]
     assert asked == dict(
         parts=("picture", "fit"), quick=True, seed=3, highlight="phong", spheres=2,
         dtype=np.float64,
