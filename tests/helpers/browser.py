@@ -24,8 +24,11 @@ class Browser:
 
 
 @contextmanager
-def pages(width: int, height: int = 900) -> Iterator[Browser]:
-    """Opens Chromium, or skips the test where there is none."""
+def pages(width: int, height: int = 900, hosts: tuple[str, ...] = ()) -> Iterator[Browser]:
+    """Opens Chromium, or skips the test where there is none.
+
+    **Arguments:** `hosts`: what pages may ask, besides their own files.
+    """
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("there is no Chromium on the path")
@@ -34,7 +37,8 @@ def pages(width: int, height: int = 900) -> Iterator[Browser]:
         browser = driver.chromium.launch(
             executable_path=chromium, args=["--no-sandbox", "--disable-gpu"]
         )
-        opened = Browser(browser.new_page(viewport={"width": width, "height": height}))
+        viewport = {"width": width, "height": height}
+        opened = Browser(browser.new_page(viewport=viewport, bypass_csp=True))
         opened.page.on(
             "console", lambda m: opened.errors.append(m.text) if m.type == "error" else None
         )
@@ -43,5 +47,6 @@ def pages(width: int, height: int = 900) -> Iterator[Browser]:
         yield opened
         browser.close()
     assert not opened.errors, opened.errors
-    outside = [r for r in opened.requests if not r.startswith(("file:", "data:"))]
+    own = ("file:", "data:", *(f"{scheme}://{host}" for host in hosts for scheme in ("http", "ws")))
+    outside = [r for r in opened.requests if not r.startswith(own)]
     assert not outside, outside
