@@ -20,18 +20,18 @@ sys.path.insert(0, str(ROOT / "tests"))
 from helpers.browser import pages  # noqa: E402
 from helpers.window import window  # noqa: E402
 
-SIZE = (1000, 640)
+SIZE = (1060, 600)
 
 
 def main() -> None:
     """Fits nine spheres from grey ones to their picture, and takes a picture of each step."""
-    truth = st.load_scene(ROOT / "data" / "nine_spheres.txt").with_antialias(0)
-    start = st.replace(truth, {"color": (0.4, 0.4, 0.5), "light_position": (500.0, 100.0, 700.0)})
+    truth = st.load_scene(ROOT / "data" / "nine_spheres.txt")
+    start = st.replace(truth, {"color": (0.4, 0.4, 0.5), "light_position": (700.0, 0.0, 500.0)})
     frames: list[Image.Image] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         st.save_scene(folder / "grey.txt", start)
-        st.write_image(folder / "photo.exr", st.render(truth, width=400, height=400, bounces=5))
+        st.write_image(folder / "photo.exr", st.render(truth, width=480, height=480, bounces=5))
         command = ("grey.txt", "--target", "photo.exr")
         with window(folder, *command) as address, pages(*SIZE, hosts=("127.0.0.1",)) as browser:
             page = browser.page
@@ -49,20 +49,20 @@ def main() -> None:
                     page.wait_for_timeout(150)  # the frame comes after its words
                     frames.append(shot(page))
                 said = now
-    frames = frames[:1] + frames[1:-1][:: max(len(frames) // 6, 1)] + frames[-1:]
+    frames = frames[:1] + frames[1:-1][-5:] + frames[-1:]
     first, *others = frames
     pauses = [1500] + [600] * (len(frames) - 2) + [3000]
     first.save(
         ROOT / "docs" / "view.webp", save_all=True, append_images=others, duration=pauses, loop=0,
-        quality=70,
+        quality=60,
     )  # fmt: skip
     frames[-1].save(ROOT / "docs" / "view.png", optimize=True)
     print(f"{len(frames)} pictures of the window")
 
 
 def shot(page) -> Image.Image:
-    """Takes a picture of the window, with the fit in sight."""
-    return Image.open(io.BytesIO(page.screenshot())).convert("RGB").quantize(64).convert("RGB")
+    """Takes a picture of the window."""
+    return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
 
 
 if __name__ == "__main__":
