@@ -19,9 +19,6 @@ from ...scene.settings import MOST_BRANCHINGS
 from ...scene.values import replace, values
 from .frames import Frame, Shown, draw_frame
 
-# What is dragged from frame to frame: whatever it could switch on is compiled from the start.
-_DRAGGED = ("center", "radius", "theta", "phi", "mu", "light_position")
-
 # The scenes that can be undone, the last ones.
 _MOST_UNDONE = 100
 
@@ -52,8 +49,9 @@ _LIMITS: dict[Range, _Limits] = {
 class Session:
     """A scene that is looked at and changed.
 
-    A frame is drawn by the features that the session has needed so far, so that a slider compiles
-    once at most: where it switches a feature on for the first time.
+    A frame is drawn by the features that the session has needed so far. So a drag or a slider
+    compiles once at most for each feature: where it is switched on for the first time. All of them
+    from the start would make frames two to three times as slow.
     """
 
     def __init__(self, scene: Scene, size: tuple[int, int], target: np.ndarray | None = None):
@@ -66,13 +64,13 @@ class Session:
         self.bounces = min(5, MOST_BRANCHINGS)
         self.parameter, self.row, self.column = "color", 0, 0
         self.sphere = 0 if len(scene.spheres) else -1
-        self._needs = needs(scene, free=_DRAGGED)
+        self._needs = needs(scene)
         self._undone: list[Scene] = []
 
     def frame(self) -> Callable[[], Frame]:
         """Returns the drawing of the present state, which may be done in another thread."""
         derived = self.kind == "derivative"
-        free = (*_DRAGGED, self.parameter) if derived else _DRAGGED
+        free = (self.parameter,) if derived else ()
         self._needs = _both(self._needs, self.scene, free)
         number = (self.parameter, self.row, self.column) if derived else ("", 0, 0)
         shown = Shown(self.kind, self.size, self.bounces, self._needs, *number)
