@@ -60,7 +60,7 @@ class ViewCommand(Sized, Compiling):
             asyncio.run(serve(window, self.port, ready))
         except KeyboardInterrupt:
             print()
-        return 0
+        return 130  # the program then ends at once, also while something compiles
 
     def _what(self):
         """Reads the scene and the target. **Returns:** scene, size and target."""

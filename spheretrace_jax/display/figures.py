@@ -35,7 +35,7 @@ def figure_png(figure: Any, dpi: int = 96) -> bytes:
 
 def displayed(picture: Shaped[Any, "height width 3"]) -> Picture:
     """Returns linear RGB as a display takes it: sRGB from 0 to 1; NaN is black."""
-    return np.clip(to_srgb(np.nan_to_num(np.asarray(picture, np.float64))), 0, 1)
+    return np.clip(to_srgb(np.nan_to_num(np.asarray(picture, np.float32))), 0, 1)
 
 
 def picture_png(picture: Shaped[Any, "height width 3"]) -> bytes:

@@ -37,9 +37,9 @@ class Controls:
         seen = self.frames
         action()
         self.page.wait_for_selector(f"#picture[data-frame]:not([data-frame='{seen}'])")
-        while (now := self.frames) != seen:
+        while (now := self.frames) != seen:  # a drag's last frame is drawn once more
             seen = now
-            self.page.wait_for_timeout(300)
+            self.page.wait_for_timeout(600)
 
     @property
     def frames(self) -> str | None:
@@ -156,12 +156,12 @@ def test_every_control_moves_the_picture(tmp_path):
         # the derivative, the residual, a fit
         controls.after(lambda: controls["#kind"].select_option("derivative"))
         controls.after(lambda: controls["#parameter"].select_option("kd:0"))
-        assert controls["#scale"].inner_text().startswith("brightest: ")
+        assert float(controls["#scale"].get_attribute("data-most")) > 0.1
         controls.after(lambda: controls["#kind"].select_option("residual"))
-        assert float(controls["#scale"].inner_text().split()[1]) > 0.01
+        assert float(controls["#scale"].get_attribute("data-most")) > 0.01
         controls["#fit"].click()
         page.wait_for_function("document.getElementById('fitted').textContent.startsWith('conv')")
-        assert float(controls["#scale"].inner_text().split()[1]) < 1e-3
+        assert float(controls["#scale"].get_attribute("data-most")) < 1e-3
         controls["#stop"].click()
 
         # a mistake, and a narrow window

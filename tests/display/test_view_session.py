@@ -69,6 +69,8 @@ def test_numbers_are_set(session):
         ({"type": "show", "kind": "derivative", "parameter": "kd", "row": 7}, "no number 7, 0"),
         ({"type": "options", "bounces": 99}, r"bounces must be in 0\.\.16, got 99"),
         ({"type": "options", "antialias": 2}, "antialias must be 0 or 1"),
+        ({"type": "show", "kind": "derivative", "parameter": "kd", "row": 1.5}, "whole number"),
+        ({"type": "set", "name": "kd", "value": 0.5, "row": -1}, "whole number from 0, got -1"),
         ({"type": "sphere", "row": 3}, "there is no sphere 4"),
         ({"type": "light", "row": 5, "x": 1, "y": 1}, "light: list index out of range"),
     ],

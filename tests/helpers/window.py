@@ -18,4 +18,4 @@ def window(folder: Path, *words: str) -> Iterator[str]:
             yield process.stdout.readline().split(": ")[1].split(" ")[0]
         finally:
             process.send_signal(2)
-            assert process.wait(timeout=30) == 0
+            assert process.wait(timeout=30) == 130

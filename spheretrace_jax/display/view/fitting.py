@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ...base.errors import InputError
 from ...fit import Fit, Progress, fit
 from ...scene.scene import Scene
 
@@ -51,5 +50,5 @@ class RunningFit:
         try:
             found: Fit = self._work()
             self._end(found.scene, found.trust.verdict, found.trust.grade)
-        except InputError as error:
-            self._end(None, str(error), "not to be used")
+        except Exception as error:  # whatever it is, the window says so and goes on
+            self._end(None, " ".join(str(error).split()), "not to be used")

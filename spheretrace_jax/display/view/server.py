@@ -8,11 +8,14 @@ import asyncio
 import json
 import secrets
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 from aiohttp import WSMsgType, web
 
 from ...base.errors import InputError
@@ -29,6 +32,13 @@ _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 # The seconds after which a frame that is not ready is said to be compiled.
 _COMPILING = 0.4
 
+# The messages that come from frame to frame while something is dragged.
+_DRAGS = ("camera", "light", "set")
+
+# The seconds above which frames are drawn with single rays while something is dragged, and those
+# after which a frame is refined when nothing moves any more.
+_SLOW, _REST = 0.08, 0.15
+
 
 @dataclass
 class Window:
@@ -42,6 +52,9 @@ class Window:
     changed: asyncio.Event = field(default_factory=asyncio.Event)
     fit: RunningFit | None = None
     said: dict[str, Any] = field(default_factory=dict)  #: words that go with the next state
+    #: draws; not asyncio's own, for whose compilations the end of the program would wait
+    worker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
+    moving: bool = False  #: whether something was dragged since the last frame
 
     def application(self) -> web.Application:
         """Returns the web application."""
@@ -63,7 +76,8 @@ class Window:
         origin = request.headers.get("Origin")
         if request.host not in hosts or (origin and origin not in {f"http://{h}" for h in hosts}):
             raise web.HTTPForbidden(text="this page is for this machine only")
-        if not secrets.compare_digest(request.path.split("/")[1], self.token):
+        given = request.path.split("/")[1].encode(errors="surrogateescape")
+        if not secrets.compare_digest(given, self.token.encode()):
             raise web.HTTPForbidden(text="the address has another token: see the terminal")
         return await handler(request)
 
@@ -81,7 +95,10 @@ class Window:
 
     async def _connect(self, request: web.Request) -> web.WebSocketResponse:
         """Serves a browser: takes its messages until it leaves."""
-        socket = web.WebSocketResponse(max_msg_size=1 << 16)
+        socket = web.WebSocketResponse(
+            max_msg_size=1 << 16,
+            compress=False,  # to compress a frame of 512x512 takes 33 ms, to draw it 9
+        )
         await socket.prepare(request)
         self.sockets.add(socket)
         self.changed.set()
@@ -107,10 +124,22 @@ class Window:
             elif kind == "save":
                 path = Path(str(message.get("path") or self.save_as))
                 self.said["note"] = self.session.save(path, bool(message.get("overwrite")))
+            elif kind == "pick":  # which draws, so not here
+                asyncio.get_running_loop().create_task(self._pick(message))
             else:
                 self.session.take(message)
-        except (InputError, OSError, ValueError) as error:
+                self.moving = self.moving or kind in _DRAGS
+        except (InputError, OSError, ValueError, RecursionError) as error:
             self.said["error"] = " ".join(str(error).split())
+        self.changed.set()
+
+    async def _pick(self, message: dict[str, Any]) -> None:
+        """Chooses the sphere at a pixel."""
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.run_in_executor(self.worker, self.session.take, message)
+        except InputError as error:
+            self.said["error"] = str(error)
         self.changed.set()
 
     # --- fits -----------------------------------------------------------------------------------
@@ -125,8 +154,8 @@ class Window:
         self.said["fit"] = "compiling the fit"
 
         def show(scene: Scene | None, words: str, grade: str = "") -> None:
-            if scene is not None:
-                session.scene = scene
+            if scene is not None:  # the camera is the user's, who may turn it meanwhile
+                session.scene = eqx.tree_at(lambda s: s.camera, scene, session.scene.camera)
             self.said |= {"fit": words, "grade": grade, "fitting": not grade}
             self.changed.set()
 
@@ -154,25 +183,41 @@ class Window:
             await socket.close()
 
     async def _draw_forever(self) -> None:
-        """Draws the newest state, again and again: states that came meanwhile are left out."""
+        """Draws the newest state, again and again: states that came meanwhile are left out.
+
+        Where frames are slow, those of a drag have single rays, and the last is drawn once more.
+        """
+        loop = asyncio.get_running_loop()
+        known, slow, rough = set(), False, False
         while True:
-            await self.changed.wait()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.changed.wait(), _REST if rough else None)
             self.changed.clear()
             if not self.sockets:
                 continue
-            began = asyncio.get_running_loop().time()
-            drawing = asyncio.get_running_loop().run_in_executor(None, self.session.frame())
-            done, _ = await asyncio.wait([drawing], timeout=_COMPILING)
-            if not done:
-                await self._send({"busy": "compiling"})
+            rough = slow and self.moving and bool(self.session.scene.antialias)
+            self.moving, began = False, loop.time()
+            said, self.said = self.said, {}  # later words go with the next frame
             try:
+                draw = self.session.frame(rough)
+                drawing = loop.run_in_executor(self.worker, draw)
+                done, _ = await asyncio.wait([drawing], timeout=_COMPILING)
+                if not done:
+                    await self._send(
+                        {"busy": "compiling" if draw.args[1:2] not in known else "drawing"}
+                    )
                 frame = await drawing
-            except InputError as error:
-                await self._send({"error": str(error)})
+            except Exception as error:  # whatever it is, the window goes on
+                await self._send(
+                    {**said, "error": f"cannot draw this: {' '.join(str(error).split())}"}
+                )
                 continue
-            seconds = asyncio.get_running_loop().time() - began
-            said, self.said = self.said, {}
-            await self._send({**self.session.state(), **said, "seconds": seconds}, frame)
+            seconds = loop.time() - began
+            if not rough:
+                slow = draw.args[1:2] in known and seconds > _SLOW  # the first time compiles
+                known.add(draw.args[1:2])
+            state = {**self.session.state(), **said, "seconds": seconds, "rough": rough}
+            await self._send(state, frame)
 
     async def _send(self, state: dict[str, Any], frame: Frame | None = None) -> None:
         """Sends a state and then its frame to all browsers; those that left are forgotten."""

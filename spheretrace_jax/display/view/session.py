@@ -67,14 +67,18 @@ class Session:
         self._needs = needs(scene)
         self._undone: list[Scene] = []
 
-    def frame(self) -> Callable[[], Frame]:
-        """Returns the drawing of the present state, which may be done in another thread."""
+    def frame(self, rough: bool = False) -> partial[Frame]:
+        """Returns the drawing of the present state, which may be done in another thread.
+
+        **Arguments:** `rough`: draw single rays, whatever the antialias flag is.
+        """
         derived = self.kind == "derivative"
         free = (self.parameter,) if derived else ()
         self._needs = _both(self._needs, self.scene, free)
         number = (self.parameter, self.row, self.column) if derived else ("", 0, 0)
         shown = Shown(self.kind, self.size, self.bounces, self._needs, *number)
-        return partial(draw_frame, self.scene, shown, self.target)
+        scene = self.scene.with_antialias(0) if rough else self.scene
+        return partial(draw_frame, scene, shown, self.target)
 
     # --- messages -----------------------------------------------------------------------------
 
@@ -89,11 +93,14 @@ class Session:
             "begin": self._begin, "undo": self._undo, "sphere": self._choose,
         }  # fmt: skip
         kind = message.get("type")
-        if kind not in takes:
+        if not isinstance(kind, str) or kind not in takes:
             raise InputError(f"unknown message {kind!r}")
+        for name in ("row", "column"):
+            if not isinstance(number := message.get(name, 0), int) or number < 0:
+                raise InputError(f"{kind}: {name} must be a whole number from 0, got {number!r}")
         try:
             takes[kind](**{k: v for k, v in message.items() if k != "type"})
-        except (TypeError, ValueError, IndexError, KeyError) as error:
+        except (TypeError, ValueError, IndexError, KeyError, OverflowError) as error:
             raise InputError(f"{kind}: {error}") from None
 
     def _set(self, name: Any, value: Any, row: Any = 0, column: Any = 0) -> None:
@@ -163,13 +170,15 @@ class Session:
         flat = self.scene.with_antialias(0)
         object_ = int(render_layers(flat, width=width, height=height).object[int(y), int(x)])
         if 0 <= object_ < len(self.scene.spheres):
-            self.sphere = object_
+            self._choose(object_)
 
     def _choose(self, row: Any) -> None:
         """Chooses a sphere."""
         if not 0 <= row < len(self.scene.spheres):
             raise InputError(f"there is no sphere {row + 1}")
         self.sphere = row
+        if self.parameter in SLIDERS["spheres"]:
+            self.row = row
 
     def _begin(self) -> None:
         """Remembers the scene, before a drag or a slider changes it."""

@@ -42,14 +42,17 @@ function paint(data) {
 function show(said) {
   const message = element("message");
   if (said.busy) { element("status").textContent = said.busy; return; }
-  if (said.error || said.note) {
-    message.textContent = said.error || said.note;
+  if (said.error || said.note || said.size && !said.rough) {
+    message.textContent = said.error || said.note || "";
     message.className = said.error ? "error" : "";
   }
   if (!said.size) return;
   state = said;
   element("status").textContent = `${(1000 * said.seconds).toFixed(0)} ms`;
-  element("scale").textContent = said.scale ? `brightest: ${said.scale.toPrecision(3)}` : "";
+  element("scale").hidden = !said.scale;
+  element("scale").dataset.most = said.scale.toPrecision(3);
+  element("low").textContent = `-${said.scale.toPrecision(3)}`;
+  element("high").textContent = said.scale.toPrecision(3);
   if (said.fit) element("fitted").textContent = said.fit;
   build();
   refresh();
@@ -92,8 +95,10 @@ function build() {
   options("sphere", spheres, state.sphere);
   options("light", lights, light);
   const choices = Object.values(state.sliders).flat();
+  const chosen = element("parameter").value;
   element("parameter").replaceChildren(...choices.flatMap((name) =>
     numbers(name).map(([column, label]) => new Option(label, `${name}:${column}`))));
+  if (chosen) element("parameter").value = chosen;
 }
 
 function options(id, count, chosen) {
@@ -126,7 +131,7 @@ function slider(owner, name, column, label) {
 
 function refresh() {
   for (const input of document.querySelectorAll(".slider input")) {
-    if (input === document.activeElement && input.type === "number") continue;
+    if (input === document.activeElement && input.type === "number" && !state.error) continue;
     const { name, column, owner } = input.dataset;
     let value = state.values[name];
     for (const k of [rows[owner](), Number(column)]) if (Array.isArray(value)) value = value[k];
@@ -202,9 +207,19 @@ function drag(event, move, end = () => {}) {
   target.addEventListener("pointercancel", up);
 }
 
+// Steps of the wheel and the keys add up, also while the answer to the last one is still drawn.
+let aim = {}, aiming = 0;
+
+function steer(numbers, key) {
+  Object.assign(aim, numbers);
+  clearTimeout(aiming);
+  aiming = setTimeout(() => { aim = {}; }, 700);
+  send({ type: "camera", ...numbers }, key);
+}
+
 function turn(theta, phi, from) {
   const limited = Math.min(Math.max(from.phi - phi, 1e-3), Math.PI - 1e-3);
-  send({ type: "camera", theta: from.theta - theta, phi: limited }, "camera");
+  steer({ theta: from.theta - theta, phi: limited }, "camera");
 }
 
 canvas.addEventListener("pointerdown", (event) => {
@@ -232,7 +247,7 @@ function zoom(factor) {
   if (!zooming) send({ type: "begin" });
   clearTimeout(zooming);
   zooming = setTimeout(() => { zooming = 0; }, 500);
-  send({ type: "camera", mu: Math.max(state.values.mu, 1e-3 * state.extent) * factor }, "zoom");
+  steer({ mu: Math.max(aim.mu ?? state.values.mu, 1e-3 * state.extent) * factor }, "zoom");
 }
 
 stage.addEventListener("wheel", (event) => {
@@ -240,7 +255,7 @@ stage.addEventListener("wheel", (event) => {
   event.preventDefault();
   const next = Math.exp(Math.sign(event.deltaY) * 0.05);
   // with the shift key the field of view changes: the view plane moves, the eye stays
-  if (event.shiftKey) send({ type: "camera", distance: state.values.distance / next }, "zoom");
+  if (event.shiftKey) steer({ distance: (aim.distance ?? state.values.distance) / next }, "field");
   else zoom(next);
 }, { passive: false });
 
@@ -251,7 +266,7 @@ stage.addEventListener("keydown", (event) => {
     event.preventDefault();
     send({ type: "begin" });
     const [x, y] = steps[event.key];
-    turn(x * 0.05, y * 0.05, state.values);
+    turn(x * 0.05, y * 0.05, { ...state.values, ...aim });
   } else if (event.key === "+" || event.key === "-") zoom(event.key === "+" ? 0.95 : 1 / 0.95);
 });
 
