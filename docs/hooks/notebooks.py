@@ -7,6 +7,7 @@ in the environment nothing is executed, which suits work on the text.
 import os
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import PurePosixPath
 
 import nbformat
 from mkdocs.structure.files import File, Files
@@ -14,7 +15,7 @@ from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
 #: Seconds that a cell may take, compilation included.
-CELL = 240
+CELL = 600
 
 #: Notebooks at a time: each mostly compiles, which takes one core.
 TOGETHER = 2
@@ -25,11 +26,10 @@ def on_files(files: Files, *, config) -> Files:
     found = [file for file in files if file.src_uri.endswith(".ipynb")]
     with ThreadPoolExecutor(TOGETHER) as pool:
         for file, (page, pictures) in zip(found, pool.map(converted, found), strict=True):
-            uri = file.src_uri.removesuffix(".ipynb")
-            files.append(File.generated(config, f"{uri}.md", content=page))
-            for name, content in pictures.items():
-                folder = uri.rpartition("/")[0]
-                files.append(File.generated(config, f"{folder}/{name}", content=content))
+            uri = PurePosixPath(file.src_uri)
+            made = {uri.with_suffix(".md").name: page} | pictures
+            for name, content in made.items():
+                files.append(File.generated(config, str(uri.parent / name), content=content))
     return files
 
 
