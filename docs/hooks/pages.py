@@ -10,6 +10,12 @@ SOURCE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!docs/)[\w./-]+\)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\s*\\([(\[])(.*?)\\[)\]]\s*</\1>', re.DOTALL)
 
 
+def on_config(config):
+    """Leaves out the page of a server's errors, whose addresses suit no folder of files."""
+    config.theme.static_templates.discard("404.html")
+    return config
+
+
 def on_page_markdown(markdown: str, **_) -> str:
     """Unlinks files of the repository."""
     return SOURCE.sub(r"\1", markdown)
