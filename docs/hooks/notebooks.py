@@ -39,7 +39,7 @@ def converted(file: File) -> tuple[str, dict[str, bytes]]:
     if os.environ.get("NOTEBOOKS") != "0":
         with tempfile.TemporaryDirectory() as folder:
             client = NotebookClient(
-                notebook, timeout=CELL, kernel_name="python3",
+                notebook, timeout=CELL, kernel_name="python3", coalesce_streams=True,
                 resources={"metadata": {"path": folder}},
             )  # fmt: skip
             client.execute()
