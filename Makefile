@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: demo test test-slow study extremes bench bench-edges bench-fit bench-lights lint dist references clean
+.PHONY: demo test test-slow docs study extremes bench bench-edges bench-fit bench-lights lint dist references clean
 
 demo: $(READY)
 	$(BIN)/spheretrace demo --output spheretrace_demo
@@ -15,6 +15,12 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
+
+# the documentation, in the folder site; its notebooks are executed and share compiled programs
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 JAX_COMPILATION_CACHE_DIR=$(CURDIR)/build/docs_cache \
+	  $(BIN)/python -m mkdocs build --strict
 
 # error against run time of the lecture's scene, in docs/study; about ten minutes
 study: $(READY)
@@ -69,4 +75,4 @@ $(READY): pyproject.toml
 	touch $@
 
 clean:
-	rm -rf $(VENV) spheretrace_demo dist
+	rm -rf $(VENV) spheretrace_demo dist site build

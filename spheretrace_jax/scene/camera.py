@@ -38,7 +38,8 @@ class Camera(eqx.Module):
     phi: Scalar  #: polar angle of the eye from +z, radians; differentiable, moves edges
     mu: Scalar  #: distance from `look_at` to the eye, world units; differentiable, moves edges
     distance: Scalar  #: from eye to view plane, world units; differentiable, moves edges
-    window: Scalar  #: height of the window on the view plane, world units; differentiable
+    #: height of the window on the view plane, world units; differentiable, moves edges
+    window: Scalar
     #: radians, about `forward` by the right-hand rule: the camera's right side goes down, what it
     #: sees turns counter-clockwise; None for 0; differentiable, moves edges
     roll: Scalar | None

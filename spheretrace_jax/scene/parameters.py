@@ -46,6 +46,7 @@ class Parameter:
     attribute: str = ""  #: the owner's attribute, if its name is another
     moves_silhouettes: bool = False  #: a change is seen only by where silhouettes are
     fitted: bool = False  #: a fit may set it free
+    unit: str = ""  #: nothing for a number without one
 
     def value(self, scene: Scene) -> Any:
         """Returns the parameter's array, a leaf of the scene; None where it is optional and unset.
@@ -58,7 +59,7 @@ class Parameter:
 
 #: Those that are fitted come in the order in which a fit's messages list them.
 PARAMETERS = (
-    Parameter("color", "spheres", "unit", fitted=True),
+    Parameter("color", "spheres", "unit", fitted=True, unit="linear RGB"),
     Parameter("ka", "spheres", "unit", fitted=True),
     Parameter("kd", "spheres", "unit", fitted=True),
     Parameter("ks", "spheres", "unit", fitted=True),
@@ -66,33 +67,41 @@ PARAMETERS = (
     Parameter("kgr", "spheres", "unit", fitted=True),
     Parameter("kt", "spheres", "unit", fitted=True),
     Parameter("ior", "spheres", "refraction", fitted=True),
-    Parameter("center", "spheres", moves_silhouettes=True, fitted=True),
-    Parameter("radius", "spheres", "positive", moves_silhouettes=True, fitted=True),
-    Parameter("light_position", "lights", attribute="position", fitted=True),
+    Parameter("center", "spheres", moves_silhouettes=True, fitted=True, unit="world units"),
+    Parameter(
+        "radius", "spheres", "positive", moves_silhouettes=True, fitted=True, unit="world units"
+    ),
+    Parameter("light_position", "lights", attribute="position", fitted=True, unit="world units"),
     Parameter("light_direction", "lights", attribute="position", fitted=True),
-    Parameter("light_color", "lights", "nonnegative", attribute="color", fitted=True),
-    Parameter("light_falloff", "lights", "nonnegative", attribute="falloff"),
-    Parameter("theta", "camera", moves_silhouettes=True, fitted=True),
-    Parameter("phi", "camera", moves_silhouettes=True, fitted=True),
-    Parameter("mu", "camera", "positive", moves_silhouettes=True, fitted=True),
-    Parameter("distance", "camera", "positive", moves_silhouettes=True, fitted=True),
-    Parameter("roll", "camera", moves_silhouettes=True, fitted=True),
-    Parameter("look_at", "camera", moves_silhouettes=True, fitted=True),
-    Parameter("principal_point", "camera", moves_silhouettes=True, fitted=True),
+    Parameter(
+        "light_color", "lights", "nonnegative", attribute="color", fitted=True, unit="linear RGB"
+    ),
+    Parameter("light_falloff", "lights", "nonnegative", attribute="falloff", unit="world units"),
+    Parameter("theta", "camera", moves_silhouettes=True, fitted=True, unit="radians"),
+    Parameter("phi", "camera", moves_silhouettes=True, fitted=True, unit="radians"),
+    Parameter("mu", "camera", "positive", moves_silhouettes=True, fitted=True, unit="world units"),
+    Parameter(
+        "distance", "camera", "positive", moves_silhouettes=True, fitted=True, unit="world units"
+    ),
+    Parameter("roll", "camera", moves_silhouettes=True, fitted=True, unit="radians"),
+    Parameter("look_at", "camera", moves_silhouettes=True, fitted=True, unit="world units"),
+    Parameter(
+        "principal_point", "camera", moves_silhouettes=True, fitted=True, unit="picture heights"
+    ),
     Parameter("pixel_aspect", "camera", "positive", moves_silhouettes=True, fitted=True),
-    Parameter("window", "camera", "positive", moves_silhouettes=True),
-    Parameter("point", "planes", moves_silhouettes=True),
+    Parameter("window", "camera", "positive", moves_silhouettes=True, unit="world units"),
+    Parameter("point", "planes", moves_silhouettes=True, unit="world units"),
     Parameter("normal", "planes", moves_silhouettes=True),
-    Parameter("color", "planes", "unit"),
+    Parameter("color", "planes", "unit", unit="linear RGB"),
     Parameter("ka", "planes", "unit"),
     Parameter("kd", "planes", "unit"),
     Parameter("ks", "planes", "unit"),
     Parameter("exponent", "planes", "nonnegative"),
     Parameter("kgr", "planes", "unit"),
     Parameter("ior", "planes", "refraction"),
-    Parameter("checker_color", "planes", "unit"),
-    Parameter("checker_size", "planes", "nonnegative"),
-    Parameter("background", "scene", "nonnegative"),
+    Parameter("checker_color", "planes", "unit", unit="linear RGB"),
+    Parameter("checker_size", "planes", "nonnegative", unit="world units"),
+    Parameter("background", "scene", "nonnegative", unit="linear RGB"),
 )
 
 #: Those that a fit may set free, by name.
