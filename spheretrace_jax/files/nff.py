@@ -135,7 +135,7 @@ class NffReader:
                 tokens.fail(word, f"{word.text} was given before, on line {places[word.text].line}")
             places[word.text] = word
             if word.text == "angle":
-                self.view["angle"] = self._between(["angle"], 180)
+                self.view["angle"] = self._between(["angle"], 180.0)
                 if not 0 < self.view["angle"][0] < 180:
                     tokens.fail(tokens.last, "angle must be between 0 and 180 degrees")
             elif word.text == "hither":
@@ -248,7 +248,7 @@ def read_nff(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
     name, dtype = os.fspath(path), scene_dtype(dtype)
     reader = NffReader(name, decode(name, read_bytes(path)), dtype).read()
     scene = _build(reader, dtype)
-    for line, message in sorted(reader.warnings):
+    for line, message in sorted(reader.warnings, key=lambda said: said[0]):
         warnings.warn(f"{name}:{line}: {message}", SceneWarning, stacklevel=3)
     return scene
 

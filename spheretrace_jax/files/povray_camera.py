@@ -56,7 +56,7 @@ def read_camera(tokens: PovrayTokens, start: Token) -> PovrayCamera:
         if word.text in ("perspective", "orthographic"):
             orthographic = word.text == "orthographic"
         elif word.text == "angle":
-            angle = tokens.scalar("the angle", 0, 180)
+            angle = tokens.scalar("the angle", 0.0, 180.0)
             if not 0 < angle < 180:
                 tokens.fail(tokens.last, "the angle must be between 0 and 180 degrees")
         elif word.text == "look_at":
@@ -109,11 +109,11 @@ def build_camera(tokens: PovrayTokens, read: PovrayCamera, dtype: Any) -> Camera
         # rays start at the location; the axis is chosen through it
         shift, distance = np.zeros(3), 1.0
     others: dict[str, Any] = {}
-    offset = np.array([-(shift @ right), shift @ up]) / height
+    aspect = 1.0 if read.fixed_aspect else width / height
+    offset = np.array([-(shift @ right) / aspect, shift @ up]) / height
     if np.abs(offset).max() > _ROUNDING * max(1, distance / height):
         others["principal_point"] = offset
-    aspect = width / height
-    if not read.fixed_aspect and abs(aspect - 1) > _ROUNDING:
+    if abs(aspect - 1) > _ROUNDING:
         others["pixel_aspect"] = aspect
     if read.orthographic:
         others["orthographic"] = True

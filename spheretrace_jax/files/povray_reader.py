@@ -46,7 +46,7 @@ def read_povray(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
     world = reader.read()
     image = lambda token, file: texture_at(reader.tokens, Path(path).parent, token, file)
     scene = build_scene(reader.tokens, world, image, dtype)
-    for line, message in sorted(set(world.warnings)):
+    for line, message in sorted(dict.fromkeys(world.warnings), key=lambda said: said[0]):
         warnings.warn(f"{name}:{line}: {message}", SceneWarning, stacklevel=3)
     return scene
 

@@ -20,7 +20,7 @@ _WORD = re.compile(
 _COMMENT = re.compile(r"/\*|\*/|\r\n|\r|\n")
 
 #: How many brackets may be open at once, so that no file ends Python's stack.
-_DEEPEST = 100
+_DEEPEST = 20
 
 AXES: dict[str, Value] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 #: Colours' words: how many components each has, and which of them is the transmitted part.
