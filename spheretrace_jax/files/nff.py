@@ -239,7 +239,7 @@ def read_nff(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
 
     **Arguments:** `dtype`: float32 or float64, by default JAX's default floating dtype.
 
-    **Returns:** a scene whose edges are covered (antialias 1), as NFF says nothing of this.
+    **Returns:** a scene of single rays (antialias 0).
 
     **Raises:** `SceneError`, with `file:line:column: what was expected, what stands there`.
 
@@ -293,7 +293,6 @@ def _build(reader: NffReader, dtype: np.dtype) -> Scene:
             **_materials(reader.fills, [p.fill for p, _, _ in planes], dtype),
         ),
         background=np.asarray(reader.background, dtype),
-        antialias=1,
     )  # fmt: skip
 
 

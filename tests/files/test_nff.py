@@ -87,7 +87,7 @@ def test_camera_by_its_definition(up, tmp_path):
 
 @pytest.mark.parametrize("bounces", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_picture_is_that_of_the_plain_path_tracer(bounces, tmp_path):
-    scene = read(tmp_path, SCENE)[0].with_antialias(0)
+    scene = read(tmp_path, SCENE)[0]
     ours = st.render(scene, width=24, height=24, bounces=bounces)
     plain = plain_picture(scene, width=24, height=24, bounces=bounces)
     np.testing.assert_allclose(ours, plain, atol=1e-12)

@@ -114,7 +114,10 @@ def test_lights_come_back(tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
-@pytest.mark.parametrize("width", ["right x", "right 1.5*x*image_width/image_height"])
+@pytest.mark.parametrize(
+    "width",
+    ["right x", pytest.param("right 1.5*x*image_width/image_height", marks=pytest.mark.slow)],
+)
 def test_picture_of_a_file_by_hand_is_that_of_povray(width, tmp_path):
     scene, said = read(tmp_path, BY_HAND.replace("right x", width))
     assert "z of the world is mirrored" in said[0]
