@@ -1,6 +1,6 @@
 """Values: a scene's arrays by the names of its parameters, and a scene with other ones."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -32,7 +32,7 @@ def values(scene: Scene, names: str | Iterable[str]) -> dict[str, Float[Array, "
     return {name: FITTED[name].value(scene) for name in chosen}
 
 
-def replace(scene: Scene, values: Mapping[str, ArrayLike]) -> Scene:
+def replace(scene: Scene, values: Mapping[str, ArrayLike | Sequence]) -> Scene:
     """Returns a scene with other arrays for some of its parameters.
 
     Works under `jit`, `grad` and `vmap`. Of the positions of lights, `"light_position"` replaces
@@ -53,7 +53,7 @@ def replace(scene: Scene, values: Mapping[str, ArrayLike]) -> Scene:
     return check_scene(scene)
 
 
-def _like(name: str, value: ArrayLike, old: Array) -> Array:
+def _like(name: str, value: ArrayLike | Sequence, old: Array) -> Array:
     """Returns a value as an array of an old one's shape and dtype. **Raises:** `InputError`."""
     try:
         array: Any = value if is_array(value) else np.asarray(value)

@@ -175,6 +175,7 @@ def two_samples(scene):
 SLOW = [pytest.param(f, marks=pytest.mark.slow) for f in (gradient, several_lights, two_samples)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [picture, *SLOW], ids=IDS)
 def test_same_pictures_and_gradients(draw, monkeypatch):
     monkeypatch.setattr(samples, "STRIP_PIXELS", 700)  # three strips
@@ -257,6 +258,7 @@ DRAW = covered(0, True), covered(0, False)
 DRAW_MIRRORS = covered(2, True), covered(2, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [pytest.param("float64", marks=pytest.mark.slow), "float32"])
 @pytest.mark.parametrize("name", SCENES)
 def test_same_covered_edges(name, dtype):

@@ -24,6 +24,7 @@ def test_picture_error():
     assert one < point / 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["coated", "coated_aside"])
 def test_picture_error_of_coats(name):
     # lit from the eye's side, and from behind, where the rim is most of what is lit

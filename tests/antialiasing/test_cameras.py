@@ -21,6 +21,7 @@ def seen(view: str, name: str) -> st.Scene:
     return eqx.tree_at(lambda s: s.planes.checker_size, scene, jnp.zeros(len(scene.planes)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "name", "bounces"),
     [
@@ -70,6 +71,7 @@ FREE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("orthographic", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_finite_differences(orthographic):
     scene = ambient_spheres([[-50.0, 40, 0], [60, -30, 60]], [50.0, 45], ka=0.3, kd=0.7)

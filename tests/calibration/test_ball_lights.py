@@ -208,6 +208,7 @@ def test_balls_without_light():
         st.lights(np.zeros((*SIZE, 3)), OUTLINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "wrong", "word"), [("side.png", "srgb", "linear"), ("far.jpg", "linear", "sRGB")]
 )

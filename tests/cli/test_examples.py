@@ -40,6 +40,7 @@ def test_render_scene(tmp_path):
     assert "d mean / d kd" in said
 
 
+@pytest.mark.slow
 def test_fit_picture(tmp_path):
     said = run("fit_picture.py", "--size", "40", folder=tmp_path)
     assert "converged after" in said

@@ -59,6 +59,7 @@ def test_covered_edges_are_near_povrays_many_rays(reference):
     assert error(st.render(sharp, **options)) > 3e-2, "one ray per pixel is far off"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "reference",
     [  # every other one is enough to show that something broke

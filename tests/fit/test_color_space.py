@@ -8,6 +8,7 @@ import spheretrace_jax as st
 from spheretrace_jax.base.srgb import code_srgb, srgb
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"), [(code_srgb, "sRGB-encoded"), (srgb, "linear, not decoded from sRGB")]
 )

@@ -97,6 +97,7 @@ def test_tied_numbers_agree():
     assert np.ptp(np.asarray(grey.natural({"exposure": jnp.asarray([0.3])})["exposure"])) == 0
 
 
+@pytest.mark.slow
 def test_any_unknowns_are_within_bounds():
     bounds = dict(
         color=(0.1, 0.9), ka=(-np.inf, 0.3), exponent=(2, 30),
@@ -123,6 +124,7 @@ def test_any_unknowns_are_within_bounds():
 # normal equations
 
 
+@pytest.mark.slow
 def test_normal_equations():
     """Checks them against the residuals of all pixels and priors."""
     problem = make_problem(
@@ -233,6 +235,7 @@ def test_fit_of_one_material():
     assert (found.uncertainty.of(product) < alone.uncertainty.of(product)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [None, optx.BFGS])
 def test_fit_with_bounds(solver):
     start = with_(TRUTH, kd=0.5, color=0.5)
@@ -263,6 +266,7 @@ def test_solvers_that_know_no_bounds_stay_within_them(solver):
     assert found.scene.spheres.kd.min() >= 0.3 and found.scene.spheres.kd.max() <= 0.55
 
 
+@pytest.mark.slow
 def test_fit_with_priors():
     """Against the closed form, as pictures are linear in kd."""
     noise, mean, sigma = 0.05, np.array([0.5, 0.7, 0.4]), np.array([0.01, np.inf, 0.002])

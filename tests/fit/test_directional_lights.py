@@ -134,6 +134,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["one ray", *(pytest.param(name, marks=pytest.mark.slow) for name in list(CASES)[1:])]
 )
@@ -157,6 +158,7 @@ def fitted(truth, start, noise=0.0, dtype=np.float64, **settings) -> st.Fit:
     return st.fit(start.astype(dtype), target.astype(dtype), bounces=0, **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
 def test_a_direction_is_found(dtype):
     truth, start = scene(3, 2, 5, directional=True), scene(10, 25, 60, directional=True)
@@ -190,6 +192,7 @@ def test_the_search_finds_lights_of_both_kinds():
         assert angle(found.scene.lights.position[k], MIXED.position[k]) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_far_light_is_at_infinity():
     truth = scene(2e5, 1e5, 3e5)
     distance = np.linalg.norm(truth.lights.position[0])
@@ -209,6 +212,7 @@ def test_a_far_light_is_at_infinity():
     assert row.spread.endswith("degrees")
 
 
+@pytest.mark.slow
 def test_a_near_light_has_a_distance():
     truth = scene(200, 100, 300)
     found = fitted(truth, scene(220, 130, 280), noise=0.003)
@@ -237,6 +241,7 @@ def test_held_lights_have_their_distance():
     assert known.least == known.value == known.most
 
 
+@pytest.mark.slow
 def test_two_lights_of_one_direction():
     lights = st.Lights(
         [[1.0, 2, 3], [2, 4, 6], [1, 2, 3]], np.full((3, 3), 0.3), directional=(True, True, False)

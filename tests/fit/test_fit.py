@@ -89,6 +89,7 @@ def test_float32_accuracy():
     assert worst["light_position"] < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "free", "places"),
     [
@@ -108,6 +109,7 @@ def test_other_parameters(name, free, places):
         np.testing.assert_allclose(value, true, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_mirrors_from_none():
     truth = SCENES["mirrors"]
     blank = eqx.tree_at(lambda s: s.spheres.kgr, truth, jnp.zeros(3))
@@ -115,6 +117,7 @@ def test_mirrors_from_none():
     np.testing.assert_allclose(found.scene.spheres.kgr, truth.spheres.kgr, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_fixed_parameters_stay():
     truth = nine_spheres(LIGHT)
     found = st.fit(wrong_start(truth), st.render(truth, **SIZE, **PLAIN), free=("ks",), **PLAIN)
@@ -123,6 +126,7 @@ def test_fixed_parameters_stay():
     assert eqx.tree_equal(changed, start)
 
 
+@pytest.mark.slow
 def test_ka_stays_where_color_allows():
     truth = with_random_colors(nine_spheres(LIGHT))
     target = st.render(truth, **SIZE, **PLAIN)
@@ -158,6 +162,7 @@ def test_ones_count_below_brighter_pixels():
     assert make_target(picture, np.dtype(np.float64)).counted == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver",
     [

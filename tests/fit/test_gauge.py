@@ -19,6 +19,7 @@ TRUTH = eqx.tree_at(lambda s: s.spheres.color, nine_spheres((100.0, 500, 800)), 
 START = wrong_start(TRUTH)
 
 
+@pytest.mark.slow
 def test_gauges_look_the_same():
     picture = st.render(TRUTH, **SIZE, **PLAIN)
     found = {g: st.fit(START, picture, gauge=g, **PLAIN) for g in ("ka", "color", "none")}

@@ -105,6 +105,7 @@ LOOKS_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", LOOKS_CASES)
 def test_looks(case):
     changes, nullity, words = LOOKS_CASES[case]

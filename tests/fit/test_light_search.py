@@ -62,6 +62,7 @@ def test_start_from_lights():
         np.testing.assert_allclose(at, truth.lights.position, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_starts_of_separable_problems():
     target = np.full((8, 8, 3), 0.5)
     starts = lambda scene, free, bounces=0: list(

@@ -34,6 +34,7 @@ def test_a_right_model_has_the_intervals_of_white_noise():
     assert found.trust.effects == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_wrong_model_has_wider_ones(kind):
     picture = WRONG[kind](LIGHT)

@@ -29,6 +29,7 @@ def black(truth: st.Scene) -> st.Scene:
     return eqx.tree_at(places, truth, [jnp.zeros_like(x) for x in places(truth)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "antialias", [0, pytest.param(1, marks=pytest.mark.slow, id="covered edges")]
 )
@@ -70,6 +71,7 @@ def test_limit_of_steps(start, max_steps):
     np.testing.assert_allclose(0.5 * np.sum(residual**2), found.cost, rtol=1e-6, atol=1e-20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -90,6 +92,7 @@ def test_limit_of_other_fits(settings):
         np.testing.assert_allclose(again.cost, found.cost, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_too_few_steps_for_wide_pixels():
     """Checks that the cost is that of the pixels themselves, though only wider ones were fitted."""
     truth = TRUTH.with_antialias(1)
@@ -150,6 +153,7 @@ def test_negative_limit():
         st.fit(TRUTH, np.full((4, 4, 3), 0.5), max_steps=-1)
 
 
+@pytest.mark.slow
 def test_robust_losses_begin_from_squares():
     """Checks that it is the sum of squares, by the same program, and that fits converge from it."""
     noisy = np.asarray(st.render(TRUTH, **SIZE))
@@ -169,6 +173,7 @@ def test_robust_losses_begin_from_squares():
     np.testing.assert_allclose(found.scene.lights.position, TRUTH.lights.position, rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", ["lights", "auto"])
 def test_a_search_ends_no_worse_than_the_scene(start):
     """Of a picture that no start explains the nearest is kept, the scene's own among them."""
@@ -179,6 +184,7 @@ def test_a_search_ends_no_worse_than_the_scene(start):
     assert found.converged and found.trust.grade != "exact"
 
 
+@pytest.mark.slow
 def test_lights_close_to_a_sphere_are_suspect():
     picture = ambient_gradient((500.0, 400, 700))
     start = wrong_ball([110.0, 0, 20])  # at 1.1 radii

@@ -137,6 +137,7 @@ def test_replaced_target():
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_compressed_residual():
     problem = problem_of(*CASES["one ray"])
     values = problem.start()

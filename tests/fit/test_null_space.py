@@ -104,6 +104,7 @@ PRODUCTS_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", PRODUCTS_CASES)
 def test_products(case):
     changes, nullity, words = PRODUCTS_CASES[case]
@@ -150,6 +151,7 @@ WORLD_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", WORLD_CASES)
 def test_motion_with_eye(case):
     planes, changes, nullity, words = WORLD_CASES[case]
@@ -219,6 +221,7 @@ PICTURES_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", PICTURES_CASES)
 def test_several_pictures(case):
     truth, clipped, nullity, words = PICTURES_CASES[case]

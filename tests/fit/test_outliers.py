@@ -39,6 +39,7 @@ def whole():
     return st.fit(start(), PICTURE, **PLAIN)
 
 
+@pytest.mark.slow
 def test_unknowns_resting_on_outliers():
     target = PICTURE.copy()
     places = highlight()
@@ -70,6 +71,7 @@ def test_no_outliers(whole):
     assert not find_outliers(found.problem, found.values, found.cost)[0].any() and found.trust.ok
 
 
+@pytest.mark.slow
 def test_no_outliers_antialiased():
     target = PICTURE + np.random.default_rng(0).standard_cauchy(PICTURE.shape)
     scene = TRUTH.with_antialias(1)

@@ -65,6 +65,7 @@ def test_bad_words():
         make_target(shaded(4), np.dtype(np.float64), noise="photo")
 
 
+@pytest.mark.slow
 def test_fit():
     picture = noisy(drawn(START, width=96, height=96), 1e-5, 1e-4, 4)
     found = st.fit(START, picture, noise="photo", bounces=0)

@@ -33,6 +33,7 @@ def uncoated_start(truth: st.Scene) -> st.Scene:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ior", "dtype", "tolerance"),
     [
@@ -53,6 +54,7 @@ def test_a_picture_says_which_coats_there_are(ior, dtype, tolerance):
     close(found.scene.lights.position, truth.lights.position)
 
 
+@pytest.mark.slow
 def test_where_no_coat_shows_it_is_said():
     # the first is matt black but for its highlight, the second has no coat
     truth = three_apart(LIGHT, kd=[0.0, 0.5, 0.4], ior=[1.5, 1.0, 1.3])
@@ -85,6 +87,7 @@ def test_lights_are_searched_with_the_coats_of_the_start():
         np.testing.assert_array_equal(sample.scene.spheres.ior, ior)
 
 
+@pytest.mark.slow
 def test_normal_equations_are_the_differences_of_pictures():
     at = lambda s: s.spheres.ior
     scene = eqx.tree_at(at, SCENES["diffuse"], jnp.array([1.5, 1.2, 2.0]))

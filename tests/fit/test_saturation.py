@@ -168,6 +168,7 @@ def errors(found: st.Fit) -> tuple[float, float]:
     return float(error), float(np.degrees(np.arccos(min(cosine, 1))))
 
 
+@pytest.mark.slow
 def test_fit_of_a_saturated_camera():
     """A camera that saturates at 250 of 255, which nothing says."""
     picture = drawn(TRUTH)
@@ -187,6 +188,7 @@ def test_fit_of_a_saturated_camera():
     assert "saturated" not in naive.trust.verdict
 
 
+@pytest.mark.slow
 def test_fit_of_a_flat_area():
     """Checks that a bright background counts and is asked about, unless the user said more."""
     truth = eqx.tree_at(lambda s: s.background, TRUTH, jnp.full(3, 0.8))

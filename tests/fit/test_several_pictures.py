@@ -107,6 +107,7 @@ def test_two_cameras(pictures):
     assert not any("not visible" in words for words in found.identifiability.undetermined)
 
 
+@pytest.mark.slow
 def test_normal_equations_add_up(pictures):
     noisy = [p + 0.01 * np.random.default_rng(0).standard_normal(p.shape) for p in pictures]
     both = normal_of(starts(CAMERAS), noisy)
@@ -128,6 +129,7 @@ def test_picture_twice_is_weight_2(pictures):
     assert_sum(twice, normal_of(start, pictures[0], weights=2.0))
 
 
+@pytest.mark.slow
 def test_costs_add_up(pictures):
     """Checks the cost at the fit of two pictures that do not agree."""
     darker = [pictures[0], 0.9 * pictures[1]]
@@ -151,6 +153,7 @@ def test_light_per_picture():
     assert deviations["light_position"].shape == (2, 1, 3) and deviations["ks"].shape == (3,)
 
 
+@pytest.mark.slow
 def test_exposure_per_picture(pictures):
     exposures = np.array([[0.7, 1.1, 1.3], [1.5, 0.9, 0.8]])
     moved = [

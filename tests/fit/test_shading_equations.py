@@ -76,6 +76,7 @@ def check(scene, free, settings):
     np.testing.assert_allclose(expected.pictures[0], picture, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [n if n == "coats" else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
 )

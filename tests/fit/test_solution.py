@@ -27,6 +27,7 @@ def problem():
     return st.fit(start, TARGET, free=FREE, **PLAIN).problem
 
 
+@pytest.mark.slow
 def test_equals_fit(problem):
     [(scene, exposure)] = eqx.filter_jit(st.solution)(problem)
     np.testing.assert_allclose(scene.lights.position, TRUTH.lights.position, rtol=1e-9)

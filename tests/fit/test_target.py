@@ -211,6 +211,7 @@ def test_deviations_of_many_fits(picture):
 # clipping
 
 
+@pytest.mark.slow
 def test_under_exposed_numbers(picture):
     crushed = np.where(picture <= 0.05, 0.0, picture)
     dark = np.count_nonzero(crushed <= 0.05)

@@ -47,6 +47,7 @@ def gradient(scene: st.Scene, weights):
     return jax.grad(lambda s: jnp.sum(weights * st.render(s, needs=EVERYTHING, **SIZE)))(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 @several
 @given(seed=seeds)

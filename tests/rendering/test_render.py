@@ -167,6 +167,7 @@ def test_many_lights_and_spheres():
     np.testing.assert_allclose(a, b, atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [pytest.param(128, marks=pytest.mark.slow), 300])
 def test_ids_do_not_overflow(count):
     behind = np.arange(count)[::-1]  # the last sphere is in the middle of the picture

@@ -70,6 +70,7 @@ def test_only_surviving_paths_are_traced(monkeypatch):
     assert 0 < sum(traced) < 40 * 26
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["glass", *slow("mirrors", "inside")])
 def test_paths_at_once_equal_the_wavefront(name):
     # pixels with edges follow their few paths bounce by bounce: `path.trace_path`

@@ -42,6 +42,7 @@ def test_forward_reverse_and_differences_agree_by_every_parameter(name, highligh
     assert {"spheres.center", "spheres.radius", "spheres.color", "camera.theta"} <= set(moving)
 
 
+@pytest.mark.slow
 def test_derivatives_by_indices_of_refraction_agree():
     scene = eqx.tree_at(lambda s: s.spheres.ior, SCENES["coated"], jnp.array([1.5, 1.3, 2.0]))
     table = st.check_gradients(scene, every=False, width=20, height=20, bounces=0)
@@ -155,6 +156,7 @@ def test_float32_scenes_are_checked_in_float64():
     assert st.check_gradients(scene, needs=known, width=8, height=8).worst < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [n if n == "shadows" else pytest.param(n, marks=pytest.mark.slow) for n in SCENES],

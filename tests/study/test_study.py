@@ -107,6 +107,7 @@ def test_a_study_is_written_as_a_page_figures_and_a_table(tmp_path):
         assert " ".join(caption(diagram)) in page and f"({diagram.name}.png)" in page
 
 
+@pytest.mark.slow
 def test_pictures_are_compared_with_the_truth():
     ball = st.Spheres([[0.0, 0, 0]], [200.0])  # has neither shadows nor crossings to compile
     scene = st.Scene(ball, st.Lights([LIGHT]))

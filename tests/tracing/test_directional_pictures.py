@@ -38,6 +38,7 @@ def lit(name, lights, **changes):
 CASES = [("shadows", "one"), ("planes", "mixed"), ("mirrors", "many"), ("inside", "mixed")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "lights"), CASES)
 def test_pictures_equal_the_plain_tracer_s(name, lights):
     scene = lit(name, LIGHTS[lights])
@@ -67,6 +68,7 @@ def test_covered_edges_are_near_many_rays(name):
     assert error(scene.with_antialias(1)) < error(scene) / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("antialias", [0, 1])
 def test_a_directional_light_is_the_limit_of_a_point_that_moves_away(antialias):
     scene = lit("shadows", ONE).with_antialias(antialias)
@@ -83,6 +85,7 @@ def test_a_directional_light_is_the_limit_of_a_point_that_moves_away(antialias):
     np.testing.assert_allclose(off[2] / off[1], 1e-2, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_light_without_falloff_is_as_before():
     scene = SCENES["planes"]
     needs = st.needs(scene)
@@ -100,6 +103,7 @@ def test_falloff_scales_one_light():
     np.testing.assert_allclose(picture(450.0), picture(900.0) / 4, rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("antialias", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_light_buffers_hold_all_occluders(antialias, monkeypatch):
     rng = np.random.default_rng(0)
@@ -125,6 +129,7 @@ MOVES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MOVES)
 @pytest.mark.parametrize("antialias", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_derivatives_equal_differences(name, antialias):

@@ -51,6 +51,7 @@ def test_no_coat_is_exactly_nothing(dtype):
     assert not np.asarray(slopes).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_derivatives_are_finite_everywhere(dtype):
     cosine = jnp.asarray([0.0, 1e-30, 1e-12, 1e-7, 1e-3, 0.5, 1, -0.3], dtype)
@@ -91,6 +92,7 @@ def test_second_derivative_at_no_coat():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_coloured_lights", "planes"])
 def test_a_coat_of_index_1_changes_no_picture(name):
     scene = SCENES[name]

@@ -59,6 +59,7 @@ def test_it_sees_what_the_renderer_sees(name, highlight):
     assert_same_picture(SCENES[name], highlight, bounces=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed",
     [pytest.param(k, marks=() if k in FAST else pytest.mark.slow) for k in range(64)],
@@ -88,6 +89,7 @@ def test_random_scenes_have_every_feature_and_do_not_change():
     assert all(map(np.array_equal, jax.tree.leaves(again), jax.tree.leaves(scenes[3])))
 
 
+@pytest.mark.slow
 def test_it_averages_samples_as_the_renderer_does():
     scene = SCENES["shadows"]
     plain = plain_picture(scene, WIDTH, HEIGHT, samples=3)
@@ -111,6 +113,7 @@ def test_it_can_be_compiled_and_keeps_the_dtype():
     assert single.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_its_derivatives_by_colours_and_coefficients_are_the_renderers():
     scene = SCENES["glass"]
     free = "color", "ka", "kd", "ks", "exponent", "kgr", "kt"
@@ -152,6 +155,7 @@ def test_it_refuses_unknown_highlights():
         plain_picture(SCENES["shadows"], 4, 4, "gouraud")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "name"),
     [

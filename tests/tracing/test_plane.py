@@ -22,6 +22,7 @@ def test_ray_along_a_plane_misses_it():
     assert ray_plane(origin, direction, vec(jnp.zeros(3)), vec(jnp.array([0.0, 0, 1]))) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize(
     ("samples", "antialias"), [(1, 0), (3, 0), pytest.param(1, 1, marks=pytest.mark.slow)]

@@ -9,6 +9,7 @@ from spheretrace_jax.xla.gather import gather_rows, smallest_int
 from spheretrace_jax.xla.loops import UNROLL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 9, UNROLL, UNROLL + 1, 200])
 def test_rows_and_derivatives(count):
     rng = np.random.default_rng(count)
