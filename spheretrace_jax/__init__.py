@@ -12,13 +12,14 @@ from .calibration.outline import ball_from_mask as ball_from_mask
 from .calibration.photo_outline import ball_from_photo as ball_from_photo
 from .display.progress import show_progress as show_progress
 from .display.show import show as show, to_srgb as to_srgb
+from .files.formats import load_scene as load_scene
 from .files.images import (
     read_image as read_image,
     read_mask as read_mask,
     write_image as write_image,
 )
+from .files.mitsuba import write_mitsuba as write_mitsuba
 from .files.povray import write_povray as write_povray
-from .files.scene_text import load_scene as load_scene
 from .files.scene_writer import save_scene as save_scene
 from .fit import Fit as Fit, fit as fit
 from .fit.solution import solution as solution

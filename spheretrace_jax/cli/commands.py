@@ -197,13 +197,17 @@ class InfoCommand(Command):
 
 @dataclass(kw_only=True)
 class ConvertCommand(Tracing):
-    """Write a scene for POV-Ray 3.7, whose picture is then the same."""
+    """Write a scene in another format: POV-Ray 3.7 (.pov), Mitsuba 3 (.xml), or scene text (.txt).
+
+    Scenes are read from scene text, from NFF (.nff) and from POV-Ray's language, as far as this
+    command writes it (.pov). What is not carried over is said line by line on standard error.
+    """
 
     always_double: ClassVar[bool] = True
 
     scene: SceneFile
     output: Positional[
-        Annotated[Path, arg(metavar="OUT.pov", help="the POV-Ray file to write, - for stdout")]
+        Annotated[Path, arg(metavar="OUT", help="the file to write, - for POV-Ray's on stdout")]
     ]
 
     def run(self) -> int:

@@ -22,7 +22,7 @@ def read_scene(path: Path, dtype: Any = None):
     from ..files.scene_text import parse_scene
 
     if path != STANDARD:
-        return formats.read_scene(path, dtype)
+        return formats.load_scene(path, dtype)
     return parse_scene(sys.stdin.buffer.read(), "standard input", ".", dtype)
 
 

@@ -10,8 +10,8 @@ FARTHEST = 1e7  #: POV-Ray's MAX_DISTANCE
 # How far outside of the scene, in its sizes, directional lights are put.
 _PARALLEL = 1e2
 
-# D of a light that fades, as a part of its fall-off: a power of 2, so that colours stay exact.
-_FADING = 2.0**-16
+#: D of a light that fades, as a part of its fall-off: a power of 2, so that colours stay exact.
+FADING = 2.0**-16
 
 
 def light_sources(scene: Scene) -> list[str]:
@@ -29,8 +29,8 @@ def light_sources(scene: Scene) -> list[str]:
     for (position, color, falloff), directional in zip(rows, lights.directional, strict=True):
         place, kind = position, ""
         if falloff and not directional:
-            color = color.astype(np.float64) / (2 * _FADING**2)
-            kind = f" fade_distance {number(falloff * _FADING)} fade_power 2"
+            color = color.astype(np.float64) / (2 * FADING**2)
+            kind = f" fade_distance {number(falloff * FADING)} fade_power 2"
         if directional:
             direction = position.astype(np.float64) / np.abs(position).max()
             place = far * direction / np.linalg.norm(direction)

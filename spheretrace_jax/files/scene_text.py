@@ -45,7 +45,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..base.errors import InputError, PictureError, SceneError, SceneWarning, printable
+from ..base.errors import InputError, PictureError, SceneWarning, printable
 from ..scene.arrays import precision
 from ..scene.camera import Camera
 from ..scene.lights import Lights
@@ -54,23 +54,19 @@ from ..scene.scene import Scene
 from ..scene.spheres import Spheres
 from ..scene.texture import Texture
 from .scene_reader import SceneReader
-from .tokens import Token, Tokens, decode
+from .tokens import Token, Tokens, decode, read_bytes
 
 
-def load_scene(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
-    """Reads a scene file; see `spheretrace_jax.files.scene_text` for its grammar.
+def load_scene_text(path: str | os.PathLike[str], dtype: Any = None) -> Scene:
+    """Reads a file of scene text; see above for its grammar.
 
     **Arguments:** `dtype`: float32 or float64, by default JAX's default floating dtype.
 
     **Raises:** `SceneError`, with `file:line:column: what was expected, what stands there`.
     **Warns:** `SceneWarning` where ka + kd > 1, which the lecture rules out.
     """
-    name, dtype = os.fspath(path), _dtype(dtype)
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise SceneError(f"{name}: cannot read the scene: {error.strerror}") from None
-    return parse_scene(data, name, Path(path).parent, dtype)
+    dtype = scene_dtype(dtype)
+    return parse_scene(read_bytes(path), os.fspath(path), Path(path).parent, dtype)
 
 
 def parse_scene(
@@ -79,16 +75,16 @@ def parse_scene(
     """Reads the content of a scene file.
 
     **Arguments:** `name`: of the file, for messages. `folder`: to which textures are relative.
-    `dtype`, raises, warns: as `load_scene`.
+    `dtype`, raises, warns: as `load_scene_text`.
     """
-    dtype = _dtype(dtype)
+    dtype = scene_dtype(dtype)
     reader = SceneReader(name, decode(name, data), dtype).read()
     for message in reader.warnings:
-        warnings.warn(message, SceneWarning, stacklevel=3)
+        warnings.warn(message, SceneWarning, stacklevel=4)
     return _build(reader, Path(folder), dtype)
 
 
-def _dtype(dtype: Any) -> np.dtype:
+def scene_dtype(dtype: Any) -> np.dtype:
     """Returns a scene's dtype, by default JAX's. **Raises:** `InputError`."""
     default = jax.dtypes.canonicalize_dtype(float)
     chosen = precision(default if dtype is None else dtype)
@@ -115,7 +111,7 @@ def _build(reader: SceneReader, folder: Path, dtype: np.dtype) -> Scene:
     directional = [far for _, far in reader.lights]
     planes, back = table(reader.planes, 19), reader.back_plane
     pics = [pic for _, pic in reader.pics]
-    texture = partial(_read_texture, reader.tokens, folder)
+    texture = partial(texture_at, reader.tokens, folder)
     view = {n: x if x is True else np.asarray(x, dtype) for n, x in reader.camera.items()}
     return Scene(
         Spheres(
@@ -147,7 +143,7 @@ def _build(reader: SceneReader, folder: Path, dtype: np.dtype) -> Scene:
     )
 
 
-def _read_texture(tokens: Tokens, folder: Path, token: Token, name: str) -> Texture:
+def texture_at(tokens: Tokens, folder: Path, token: Token, name: str) -> Texture:
     """Reads the texture that `token` names. **Raises:** `SceneError` at the token."""
     from .images import read_texture
 

@@ -1,10 +1,12 @@
 """Tokens: the words of a text file with their positions, and numbers in ranges."""
 
 import codecs
+import os
 import re
 import unicodedata
 from collections.abc import Iterator
 from math import isfinite
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -38,17 +40,18 @@ class Token:
 class Tokens:
     """The words of a text, one by one; `//` starts a comment up to the end of the line."""
 
+    pattern = _WORD  #: what is a comment, a `newline` or a `word`
+
     def __init__(self, name: str, text: str, dtype: np.dtype):
         self.name, self.dtype = name, dtype
-        self._words = self._scan(text)
+        self._words = self.scan(text)
         self.peek = next(self._words)  # the next token; its text is empty at the end of the file
         self.last = Token("", 1, 1)  # the latest token taken
 
-    @staticmethod
-    def _scan(text: str) -> Iterator[Token]:
+    def scan(self, text: str) -> Iterator[Token]:
         """Yields all words of a text, then empty ones without end."""
         line, start = 1, 0
-        for match in _WORD.finditer(text):
+        for match in self.pattern.finditer(text):
             if match["newline"]:
                 line, start = line + 1, match.end()
             elif match["word"]:
@@ -161,6 +164,14 @@ class Tokens:
         if not _COUNT.fullmatch(token.text):
             self.fail_spelling(token, f"{name}, a whole number from 0")
         return int(token.text)
+
+
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """Reads a scene's file. **Raises:** `SceneError`, also for files that cannot be opened."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise SceneError(f"{os.fspath(path)}: cannot read the scene: {error.strerror}") from None
 
 
 def decode(name: str, data: bytes) -> str:

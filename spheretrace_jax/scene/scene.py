@@ -156,11 +156,10 @@ def _check_parts(scene: Scene) -> None:
             raise InputError(f"{name} must be of class {kind.__name__}, got {described(part)}")
     if scene.antialias not in (0, 1):
         raise InputError(f"antialias must be 0 or 1, got {scene.antialias!r}")
-    for i, pic in enumerate(scene.spheres.pic):
-        if not 0 <= pic <= len(scene.textures):
-            raise InputError(
-                f"sphere {i + 1} has texture {pic}, but there are {len(scene.textures)} textures"
-            )
+    pics, known = scene.spheres.pic, len(scene.textures)
+    if wrong := set(pics) - set(range(known + 1)):
+        i = next(i for i, pic in enumerate(pics) if pic in wrong)
+        raise InputError(f"sphere {i + 1} has texture {pics[i]}, but there are {known} textures")
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, Any, type]]:

@@ -411,8 +411,8 @@ MISTAKES = {
         "--bounces must be at least 0, got -2",
     ),
     "no .pov": (
-        "convert scene.txt out.txt",
-        "out.txt: expected a file that ends in .pov",
+        "convert scene.txt out.obj",
+        "out.obj: expected a file that ends in .pov or .txt or .xml",
     ),
     "no folder for the .pov": (
         "convert scene.txt no/out.pov",
@@ -529,7 +529,7 @@ HELP = {
     ],
     "check": ["SCENE", "--size WxH", "--free NAMES", "the worst pixels and why"],
     "info": ["SCENE", "what is left out and why"],
-    "convert": ["SCENE", "OUT.pov", "POV-Ray"],
+    "convert": ["SCENE", "OUT", "POV-Ray", "Mitsuba", "NFF"],
     "demo": ["-o DIR", "the folder to write to", "POV-Ray", "from a wrong start", "--cache DIR"],
     "cache": ["--clear", "delete the compiled programs", "where compiled programs are kept"],
 }

@@ -29,6 +29,6 @@ def test_every_export_format_is_written(ending, tmp_path):
 
 def test_the_ending_chooses_the_reader_and_others_are_scene_text(tmp_path, monkeypatch):
     st.save_scene(tmp_path / "scene.any", SCENES["diffuse"])
-    assert len(formats.read_scene(tmp_path / "scene.any", np.float64).spheres) == 3
+    assert len(formats.load_scene(tmp_path / "scene.any", np.float64).spheres) == 3
     monkeypatch.setitem(formats.READERS, ".made", lambda path, dtype: SCENES["mirrors"])
-    assert formats.read_scene(tmp_path / "none.MADE") is SCENES["mirrors"]
+    assert formats.load_scene(tmp_path / "none.MADE") is SCENES["mirrors"]

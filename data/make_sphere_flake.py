@@ -1,21 +1,39 @@
 """Builds the sphere flake: a sphere that bears nine of a third of its size, and these nine more.
 
 The scene "balls" of Eric Haines, "A Proposal for Standard Graphics Environments", IEEE CG&A 7(11),
-1987, with its floor, eye, three lights and colours; mirrors and highlights as in its pictures. The
-spheres' places follow from its words: nine on the half turned away from the parent, six of them
-around its equator, three above these.
+1987, with its floor, eye, three lights and colours, as an NFF file. The spheres' places follow from
+its words: nine on the half turned away from the parent, six of them around its equator, three above
+these.
 
-    python data/sphere_flake.py flake.txt 4     # writes the scene file of 7,381 spheres
+    python data/make_sphere_flake.py 4 > flake.nff     # the size factor: 7,381 spheres
 """
 
 import sys
+from collections.abc import Iterator
 
 import numpy as np
 
-import spheretrace_jax as st
-
-EYE, WIDTH_OF_VIEW = np.array([2.1, 1.3, 1.7]), np.radians(45)
-LIGHTS = [[4.0, 3, 2], [1, -4, 4], [-3, 1, 5]]
+HEADER = """\
+# sphere flake of size factor {}: {} spheres
+v
+from 2.1 1.3 1.7
+at 0 0 0
+up 0 0 1
+angle 45
+hither 1
+resolution 512 512
+b 0.078 0.361 0.753
+l 4 3 2
+l 1 -4 4
+l -3 1 5
+f 1 0.75 0.33 0.8 0 0 0 0
+p 4
+12 12 -0.5
+-12 12 -0.5
+-12 -12 -0.5
+12 -12 -0.5
+f 1 0.9 0.7 0.5 0.5 15 0 0
+"""
 
 
 def child_directions() -> np.ndarray:
@@ -45,33 +63,27 @@ def from_up(direction: np.ndarray) -> np.ndarray:
     return rotation(axis / length, np.arctan2(length, direction[2]))
 
 
-def sphere_flake(size_factor: int = 4, reflection: float = 0.3) -> st.Scene:
-    """Builds the scene: (9^(size_factor + 1) - 1)/8 spheres over a floor, antialiased."""
+def sphere_flake(size_factor: int) -> Iterator[tuple[np.ndarray, float]]:
+    """Yields the centres and the radius of each generation, 9^k spheres of radius 1/2 (1/3)^k."""
     children = child_directions()
     center, up, radius = np.zeros((1, 3)), np.array([[0, 0, 1.0]]), 0.5
-    spheres = [(center, np.full(1, radius))]
+    yield center, radius
     for _ in range(size_factor):
         ways = np.concatenate([children @ from_up(direction).T for direction in up])
         center = np.repeat(center, 9, axis=0) + ways * (radius * 4 / 3)
         up, radius = ways, radius / 3
-        spheres.append((center, np.full(len(center), radius)))
-    center, radius = (np.concatenate(part) for part in zip(*spheres, strict=True))
-    mu = np.linalg.norm(EYE)
-    return st.Scene(
-        st.Spheres(
-            center, radius, np.tile([1.0, 0.9, 0.7], (len(center), 1)), ka=0.1, kd=0.5, ks=0.5,
-            exponent=15.0, kgr=reflection,
-        ),
-        st.Lights(LIGHTS, np.full(3, 1 / np.sqrt(3))),
-        st.Camera(
-            np.arctan2(EYE[1], EYE[0]), np.arccos(EYE[2] / mu), mu, mu,
-            2 * mu * np.tan(WIDTH_OF_VIEW / 2),
-        ),
-        st.Planes([[0, 0, -0.5]], [[0, 0, 1.0]], [[1, 0.75, 0.33]], ka=0.1, kd=0.8, ks=0.0),
-        background=[0.078, 0.361, 0.753],
-        antialias=1,
-    )  # fmt: skip
+        yield center, radius
+
+
+def flake_text(size_factor: int) -> str:
+    """Returns the NFF file of (9^(size_factor + 1) - 1)/8 spheres over a floor."""
+    lines = []
+    for center, radius in sphere_flake(size_factor):
+        lines += [f"s {x:.9g} {y:.9g} {z:.9g} {radius:.9g}" for x, y, z in center]
+    return HEADER.format(size_factor, len(lines)) + "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":
-    st.save_scene(sys.argv[1], sphere_flake(int(sys.argv[2]) if len(sys.argv) > 2 else 4))
+    if len(sys.argv) != 2 or not sys.argv[1].isdecimal() or int(sys.argv[1]) > 6:
+        sys.exit("usage: python data/make_sphere_flake.py SIZE_FACTOR, a number in 0..6")
+    sys.stdout.write(flake_text(int(sys.argv[1])))
