@@ -15,7 +15,6 @@ from math import pi
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from ..base.errors import SceneError, SceneWarning
 from ..base.types import Highlight
@@ -25,8 +24,6 @@ from ..scene.settings import check_highlight
 from .atomic import write_text
 
 _PLANE_SIZE = 50.0  # half the side of a plane's square, in sizes of the scene
-
-Rows = Float[np.ndarray, "rows 3"]
 
 
 def write_mitsuba(

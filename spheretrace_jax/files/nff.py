@@ -88,7 +88,7 @@ class NffReader:
         self.sphere_fills: list[int] = []
         self.polygons: list[Polygon] = []
         self.warnings: list[tuple[int, str]] = []
-        self._given: dict[str, int] = {}
+        self.given: dict[str, int] = {}
 
     @np.errstate(over="ignore")  # numbers too large for float32 become inf, and are refused
     def read(self) -> "NffReader":
@@ -120,7 +120,7 @@ class NffReader:
         return [self.tokens.between(self.tokens.take(), name, 0, high) for name in names]
 
     def _once(self, token: Token) -> None:
-        line = self._given.setdefault(token.text, token.line)
+        line = self.given.setdefault(token.text, token.line)
         if line != token.line:
             self.tokens.fail(token, f"{token.text} was given before, on line {line}")
 
@@ -320,5 +320,5 @@ def _say_hither(reader: NffReader, eye: np.ndarray, spheres: np.ndarray, planes:
     near = np.linalg.norm(spheres[:, :3] - eye, axis=1) - spheres[:, 3]
     heights = [abs((eye - point) @ normal) for point, normal in planes]
     if min([*near, *heights], default=inf) < hither:
-        line = reader._given["v"]
+        line = reader.given["v"]
         reader.warnings.append((line, f"hither {hither:g}: nothing is clipped before the eye"))
