@@ -61,7 +61,7 @@ dist: $(READY)
 	$(BIN)/python -m build --outdir dist .
 	$(BIN)/twine check --strict dist/*
 	$(BIN)/cffconvert --validate
-	$(BIN)/python tests/dist/try_wheel.py dist
+	$(BIN)/python tests/wheel/try_wheel.py dist
 
 # needs POV-Ray 3.7 (Debian: povray)
 references: $(READY)

@@ -19,7 +19,6 @@ import equinox as eqx
 from aiohttp import WSMsgType, web
 
 from ...base.errors import InputError
-from ...fit.model.accessors import NAMES
 from ...scene.scene import Scene
 from .fitting import RunningFit
 from .frames import Frame
@@ -222,7 +221,7 @@ class Window:
     async def _send(self, state: dict[str, Any], frame: Frame | None = None) -> None:
         """Sends a state and then its frame to all browsers; those that left are forgotten."""
         if frame is not None:
-            state = {**state, "scale": frame.scale, "save": str(self.save_as), "names": NAMES}
+            state = {**state, "scale": frame.scale, "save": str(self.save_as)}
         for socket in set(self.sockets):
             try:
                 await socket.send_str(json.dumps(state))

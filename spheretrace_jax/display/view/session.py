@@ -12,7 +12,7 @@ import numpy as np
 from ...base.errors import InputError
 from ...files.scene_writer import save_scene
 from ...rendering.layers import render_layers
-from ...scene.needs import Needs, needs, together
+from ...scene.needs import needs, together
 from ...scene.parameters import FITTED, LIGHT_PLACES, Range, rows_of
 from ...scene.scene import Scene
 from ...scene.settings import MOST_BRANCHINGS
@@ -61,7 +61,7 @@ class Session:
         """
         self.scene, self.size, self.target = scene, size, target
         self.kind: Any = "picture"
-        self.bounces = min(5, MOST_BRANCHINGS)
+        self.bounces = 5
         self.parameter, self.row, self.column = "color", 0, 0
         self.sphere = 0 if len(scene.spheres) else -1
         self._needs = needs(scene)
@@ -74,7 +74,7 @@ class Session:
         """
         derived = self.kind == "derivative"
         free = (self.parameter,) if derived else ()
-        self._needs = _both(self._needs, self.scene, free)
+        self._needs = together(self._needs, needs(self.scene, free=free))
         number = (self.parameter, self.row, self.column) if derived else ("", 0, 0)
         shown = Shown(self.kind, self.size, self.bounces, self._needs, *number)
         scene = self.scene.with_antialias(0) if rough else self.scene
@@ -248,11 +248,6 @@ class Session:
             warnings.simplefilter("ignore")
             save_scene(path, self.scene)
         return f"saved {path}"
-
-
-def _both(known: Needs, scene: Scene, free: tuple[str, ...]) -> Needs:
-    """Returns what earlier scenes and this one need together."""
-    return together(known, needs(scene, free=free))
 
 
 def _extent(scene: Scene) -> float:
