@@ -11,7 +11,7 @@ h1, h2 { line-height: 1.2; } h2 { margin-top: 2em; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; }
 td, th { padding: .2em .7em; text-align: right; border-bottom: 1px solid var(--line); }
 td:first-child, th:first-child { text-align: left; }
-td.words, th.words { text-align: left; }
+td.words, th.words { text-align: left; } td:not(.words) { white-space: nowrap; }
 figure { margin: 1em 0; } img { max-width: 100%; height: auto; }
 .row { display: flex; flex-wrap: wrap; gap: 1em; } .row figure { flex: 1 1 15em; margin: 0; }
 .row img, .over img { width: 100%; image-rendering: pixelated; display: block; }
