@@ -152,9 +152,11 @@ def lights(
     outlines = _outlines(images, ball, focal, principal_point, names)
     if chrome:
         found = []
-        for name, image, outline in zip(names, images, outlines, strict=True):
-            spots = _named(name, partial(chrome_spots, level=brightest), image, outline, count)
-            found += [light_of_spot(name, spot, outline, radius) for spot in spots]
+        with working("finding lights", len(images)) as step:
+            for name, image, outline in zip(names, images, outlines, strict=True):
+                spots = _named(name, partial(chrome_spots, level=brightest), image, outline, count)
+                found += [light_of_spot(name, spot, outline, radius) for spot in spots]
+                step(name)
         return BallLights(found, [None] * len(found), color, radius)
     exclusion = Exclusion(None if mask is None else yes_or_no(np.asarray(mask)), brightest, darkest)
     photos = [ball_photo(*each, exclusion) for each in zip(names, images, outlines, strict=True)]

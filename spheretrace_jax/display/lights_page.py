@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..base.progress import working
 from ..calibration.ball_light import BallLight, lobe_name
 from ..calibration.camera import flip_frame
 from ..calibration.conic import outline_points
@@ -27,11 +28,12 @@ def write_page(path: Path, found: BallLights) -> None:
 
 def lights_page(found: BallLights) -> str:
     """Returns the page: a table of the lights, and each photograph with ball and residual."""
-    figures = [
-        page.figure(page.image(_drawn(found, k), light.name), str(light))
-        for k, light in enumerate(found)
-        if found.photos[k] is not None
-    ]
+    figures = []
+    with working("drawing", len(found)) as step:
+        for k, light in enumerate(found):
+            if found.photos[k] is not None:
+                figures.append(page.figure(page.image(_drawn(found, k), light.name), str(light)))
+            step(light.name)
     return page.page(
         f"Lights of {len(found)} photographs",
         page.paragraph(

@@ -110,6 +110,14 @@ class _Task:
         return f"{self.text}{counted}{now} ({time.monotonic() - self.began:.0f} s)"
 
 
+class _Phases(threading.local):
+    """The phases of JAX that a thread is in: they nest."""
+
+    nested = 0
+    shown: Work | None = None  # the outermost one
+    lowering = 0.0  # the seconds that the last lowering took
+
+
 class ProgressDisplay:
     """Shows the work of this process on a line, once it has taken `patience` seconds."""
 
@@ -119,18 +127,17 @@ class ProgressDisplay:
         self._tasks: list[_Task] = []
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._idle = threading.Event()
-        self._phases: list[_Task] = []  # JAX's, which nest
-        self._lowering = 0.0  # the seconds that the last lowering took
+        self._idle = threading.Event()  # of the present thread: it then ends
+        self._phases = _Phases()
 
     def listen(self, text: str, total: int | None = None) -> Work:
         """Takes work that begins."""
         task = _Task(self, text, total)
         with self._lock:
             self._tasks.append(task)
-            self._idle.clear()
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, daemon=True)
+                self._idle = threading.Event()
+                self._thread = threading.Thread(target=self._run, args=[self._idle], daemon=True)
                 self._thread.start()
         return task
 
@@ -146,8 +153,8 @@ class ProgressDisplay:
             self._idle.set()
         thread.join()
 
-    def _run(self) -> None:
-        while not self._idle.wait(_TICK):
+    def _run(self, idle: threading.Event) -> None:
+        while not idle.wait(_TICK):
             with self._lock:
                 late = [t for t in self._tasks if time.monotonic() - t.began >= self.patience]
                 text = "; ".join(map(str, late))
@@ -161,20 +168,22 @@ class ProgressDisplay:
             return
         name = str(kwargs.get("fun_name", "")).removeprefix("jit(").removesuffix(")")
         text = f"compiling {_WORDS.get(name, name)}"
-        seconds = _XLA_PER_LOWERING * self._lowering
+        seconds = _XLA_PER_LOWERING * self._phases.lowering
         if event == _COMPILE and seconds >= self.patience:
             text += f", about {seconds:.0f} s"
-        outer = bool(self._phases)  # phases nest: only the outermost one is shown
-        task = _Task(self, text, None) if outer else self.listen(text)
-        self._phases.append(task)  # pyright: ignore[reportArgumentType]
+        if not self._phases.nested:  # only the outermost one is shown
+            self._phases.shown = self.listen(text)
+        self._phases.nested += 1
 
     def end_phase(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         """Takes the end of a phase of JAX, also one that failed."""
-        if event not in (_TRACE, _LOWER, _COMPILE) or not self._phases:
+        if event not in (_TRACE, _LOWER, _COMPILE) or not self._phases.nested:
             return
-        self._phases.pop().end()
+        self._phases.nested -= 1
+        if not self._phases.nested and self._phases.shown is not None:
+            self._phases.shown.end()
         if event == _LOWER:
-            self._lowering = duration_secs
+            self._phases.lowering = duration_secs
 
     def start(self) -> None:
         """Begins to show progress."""

@@ -43,7 +43,6 @@ def write_mitsuba(
 
     **Warns:** `SceneWarning` for all that Mitsuba's picture will not have, or have otherwise.
     """
-    scene = known_scene(scene)
     text, inexact = mitsuba_text(scene, highlight=highlight, bounces=bounces)
     write_text(path, text)
     name = os.fspath(path) if scene_path is None else Path(scene_path).name

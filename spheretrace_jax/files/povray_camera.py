@@ -47,10 +47,8 @@ def read_camera(tokens: PovrayTokens, start: Token) -> PovrayCamera:
     orthographic, angle, look_at, fixed = False, None, None, True
     # the width of a picture is that of its height: pixels are square, or as `right` says
     tokens.names |= {"image_width": 1.0, "image_height": 1.0}
-    while not tokens.accept("}"):
+    while tokens.inside(opened):
         word = tokens.take()
-        if not word.text:
-            tokens.fail(opened, "this { has no }")
         if word.text not in _WORDS:
             tokens.fail_unknown(word, "a camera", (*_WORDS, "}"))
         if word.text in ("perspective", "orthographic"):

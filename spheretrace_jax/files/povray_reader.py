@@ -145,10 +145,8 @@ class PovrayReader:
         """Reads the ambient light, the gamma and the number of bounces."""
         tokens = self.tokens
         opened = tokens.expect("{")
-        while not tokens.accept("}"):
+        while tokens.inside(opened):
             word = tokens.take()
-            if not word.text:
-                tokens.fail(opened, "this { has no }")
             if word.text == "charset":
                 tokens.take()
             elif word.text == "ambient_light":
@@ -197,10 +195,8 @@ class PovrayReader:
         tokens.accept(",")
         color, _ = tokens.color()
         numbers: dict[str, Any] = {}
-        while not tokens.accept("}"):
+        while tokens.inside(opened):
             word = tokens.take()
-            if not word.text:
-                tokens.fail(opened, "this { has no }")
             if word.text not in _LIGHT_WORDS:
                 tokens.fail_unknown(word, "a light", (*_LIGHT_WORDS, "}"))
             count = _LIGHT_WORDS[word.text]
@@ -262,12 +258,10 @@ class PovrayReader:
         """Reads an object's surface and its flags, up to its end. **Returns:** the flags."""
         tokens, flags = self.tokens, set()
         known = ("no_shadow", "no_image", "no_reflection")
-        while not tokens.accept("}"):
+        while tokens.inside(opened):
             if read_surface_word(tokens, surface):
                 continue
             word = tokens.take()
-            if not word.text:
-                tokens.fail(opened, "this { has no }")
             if word.text == "interior_texture":  # the far wall, which is not seen
                 tokens.skip_block()
             elif word.text == "interior":

@@ -32,11 +32,9 @@ class Surface:
 def read_texture(tokens: PovrayTokens, surface: Surface) -> None:
     """Reads a block of `pigment` and `finish` after `texture`."""
     opened = tokens.expect("{")
-    while not tokens.accept("}"):
+    while tokens.inside(opened):
         if not read_surface_word(tokens, surface):
             tokens.take()
-            if not tokens.last.text:
-                tokens.fail(opened, "this { has no }")
             tokens.fail_unknown(tokens.last, "a texture", ("pigment", "finish", "}"))
 
 
@@ -104,10 +102,8 @@ def _read_finish(tokens: PovrayTokens, surface: Surface) -> None:
     opened = tokens.expect("{")
     numbers: dict[str, float] = {}
     place: dict[str, Token] = {}
-    while not tokens.accept("}"):
+    while tokens.inside(opened):
         word = tokens.take()
-        if not word.text:
-            tokens.fail(opened, "this { has no }")
         if word.text not in _FINISH:
             tokens.fail_unknown(word, "a finish", (*_FINISH, "}"))
         braces = word.text == "reflection" and tokens.accept("{")

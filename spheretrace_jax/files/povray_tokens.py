@@ -80,6 +80,19 @@ class PovrayTokens(Tokens):
             return True
         return False
 
+    def inside(self, opened: Token) -> bool:
+        """Tells whether a block goes on; takes the `}` that ends it.
+
+        **Arguments:** `opened`: the block's `{`, for the error.
+
+        **Raises:** `SceneError` if the file ends first.
+        """
+        if self.accept("}"):
+            return False
+        if not self.peek.text:
+            self.fail(opened, "this { has no }")
+        return True
+
     def skip_block(self) -> None:
         """Skips a block from its `{` to the matching `}`, with all that is in it."""
         opened, depth = self.expect("{"), 1

@@ -9,6 +9,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
+from ..base.progress import working
 from ..scene.scene import Scene
 from .diagnosis.identifiability import Identifiability, identify
 from .diagnosis.model_error import with_model_error
@@ -155,4 +156,5 @@ class Fit(eqx.Module):
         """
         from ..display.fit_report import write_report
 
-        return write_report(path, self)
+        with working("writing the report"):
+            return write_report(path, self)

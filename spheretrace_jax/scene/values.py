@@ -44,13 +44,22 @@ def replace(scene: Scene, values: Mapping[str, ArrayLike | Sequence]) -> Scene:
     **Raises:** `InputError` for names of no parameter, and for arrays of other shapes.
     """
     scene = with_optional(check_scene(scene), _checked(values))
-    for name, value in values.items():
-        old = FITTED[name].value(scene)
-        new = _like(name, value, old)
+    arrays = {name: _like(name, x, FITTED[name].value(scene)) for name, x in values.items()}
+    return check_scene(with_values(scene, arrays))
+
+
+def with_values(scene: Scene, values: Mapping[str, Array]) -> Scene:
+    """Returns a scene with other values of some parameters; of lights' places only their rows.
+
+    **Arguments:** `values`: arrays of the shapes and the dtype of those that they replace, which is
+    not checked.
+    """
+    for name, x in values.items():
+        accessor = FITTED[name].value
         if name in LIGHT_PLACES and not (rows := rows_of(scene, name)).all():
-            new = jnp.where(rows[:, None], new, old)
-        scene = eqx.tree_at(FITTED[name].value, scene, new)
-    return check_scene(scene)
+            x = jnp.where(rows[:, None], x, accessor(scene))
+        scene = eqx.tree_at(accessor, scene, x)
+    return scene
 
 
 def _like(name: str, value: ArrayLike | Sequence, old: Array) -> Array:

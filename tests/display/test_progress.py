@@ -1,6 +1,7 @@
 """Progress: shown after a while, in terminals and notebooks, and taken away at the end."""
 
 import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -97,9 +98,36 @@ def test_an_estimate_comes_from_the_time_of_lowering(display):
     display.end_phase(progress._COMPILE, 9.0)
 
 
+def test_phases_of_several_threads_are_apart(display):
+    """A thread that compiles shows its work, also while another one is in the middle of its own."""
+    display.begin_phase(progress._TRACE, 0.0, fun_name="first")
+    inside = lambda: (
+        display.begin_phase(progress._TRACE, 0.0, fun_name="second"),
+        wait(lambda: "; compiling second" in (display.line.shown or [""])[-1]),
+        display.end_phase(progress._TRACE, 0.0),
+    )
+    other = threading.Thread(target=inside)
+    other.start()
+    other.join(timeout=10)
+    assert not other.is_alive() and len(display._tasks) == 1
+    display.end_phase(progress._TRACE, 0.0)
+    assert not display._tasks and display.line.cleared == 1
+
+
+def test_work_that_begins_while_the_line_goes_ends_on_its_own(display):
+    for _ in range(200):
+        works = [threading.Thread(target=lambda: display.listen("a").end()) for _ in range(4)]
+        for work in works:
+            work.start()
+        for work in works:
+            work.join(timeout=10)
+            assert not work.is_alive()
+    assert not display._tasks
+
+
 def test_lowering_alone_leaves_nothing_behind(display):
     jax.jit(lambda x: x + 1).lower(1.0)
-    assert not display._tasks and not display._phases
+    assert not display._tasks and not display._phases.nested
 
 
 def test_a_session_that_is_not_interactive_shows_nothing(monkeypatch):

@@ -10,12 +10,13 @@ from helpers.scenes import SCENES, TABLE
 import spheretrace_jax as st
 from spheretrace_jax.display.parameter_rows import parameter_rows
 from spheretrace_jax.fit.diagnosis.uncertainty import estimate
-from spheretrace_jax.fit.model.accessors import default_free, with_values
+from spheretrace_jax.fit.model.accessors import default_free
 from spheretrace_jax.fit.model.constraints import make_constraints
 from spheretrace_jax.fit.model.light_position import LightPosition, light_direction_at
 from spheretrace_jax.fit.model.parameters import Parameters
 from spheretrace_jax.fit.problem.make_problem import make_problem
 from spheretrace_jax.fit.problem.problem import normal_at
+from spheretrace_jax.scene.values import with_values
 
 SIZE = 24
 SPHERES = st.Spheres(

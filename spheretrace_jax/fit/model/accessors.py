@@ -3,11 +3,9 @@
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...scene.parameters import FITTED, LIGHT_PLACES, light_places, rows_of, with_optional
+from ...scene.parameters import FITTED, light_places, with_optional
 from ...scene.scene import Scene
 
 Values = dict[str, Float[Array, "..."]]
@@ -53,12 +51,3 @@ def array_name(name: str) -> str:
     """Returns the name of the array that a parameter's name stands for."""
     parameter = FITTED[name]
     return f"{parameter.owner}.{parameter.attribute or name}"
-
-
-def with_values(scene: Scene, values: Values) -> Scene:
-    """Returns a scene with other values of some parameters; of lights' places only their rows."""
-    for name, x in values.items():
-        if name in LIGHT_PLACES and not (rows := rows_of(scene, name)).all():
-            x = jnp.where(rows[:, None], x, value(scene, name))
-        scene = eqx.tree_at(ACCESSORS[name], scene, x)
-    return scene

@@ -23,8 +23,9 @@ from ...scene.parameters import (
     rows_of,
 )
 from ...scene.scene import Scene
+from ...scene.values import with_values
 from ...xla.jit import compiled
-from .accessors import NAMES, Values, value, with_values
+from .accessors import NAMES, Values, value
 from .constraints import Constraint
 from .light_position import LightPosition, light_direction_at, light_position_at, no_bound
 

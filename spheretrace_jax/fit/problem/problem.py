@@ -15,8 +15,9 @@ from ...scene.arrays import is_traced
 from ...scene.parameters import LIGHT_PLACES
 from ...scene.scene import Scene
 from ...scene.settings import RenderSettings
+from ...scene.values import with_values
 from ...xla.jit import compiled
-from ..model.accessors import value, with_values
+from ..model.accessors import value
 from ..model.parameters import Parameters
 from ..model.target import Target
 from ..normal_equations.gbuffer import GBuffer, fixed_arrays, make_gbuffer
